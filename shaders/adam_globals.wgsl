@@ -27,13 +27,13 @@ struct AdamGlobals {
 @group(0) @binding(3) var<storage, read_write> first: array<f32>;
 @group(0) @binding(4) var<storage, read_write> second: array<f32>;
 @group(0) @binding(5) var<storage, read_write> status: array<atomic<u32>>;
-// What the tile lists hold (tile_room.wgsl): when they were short, nothing is updated.
-@group(0) @binding(6) var<storage, read> listed: array<u32>;
+// What the tile lists hold (tile_capacity.wgsl): when they were short, nothing is updated.
+@group(0) @binding(6) var<storage, read> list_status: array<u32>;
 
 @compute @workgroup_size(WG_SIZE)
 fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg: vec3u) {
     let element_ix = invocation_ix(gid, n_wg);
-    if element_ix >= uniforms.n || listed[1] != 0u {
+    if element_ix >= uniforms.n || list_status[1] != 0u {
         return;
     }
     let rate = select(uniforms.rate_environment, uniforms.rate_prototypes, element_ix < uniforms.n_prototypes);

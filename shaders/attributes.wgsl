@@ -25,7 +25,7 @@ const WG_SIZE = 256u;
 
 fn radiance_of(gaussian_ix: u32, to_mean: vec3f) -> vec3f {
     var basis: array<f32, 49>;
-    sh_basis(sh_order_of(model.n_radiance), normalised3(to_mean), &basis);
+    sh_basis(sh_degree_of(model.n_radiance), normalised3(to_mean), &basis);
     var colour = vec3f(0.5);
     let first = model.radiance + 3u * model.n_radiance * gaussian_ix;
     for (var j = 0u; j < model.n_radiance; j++) {

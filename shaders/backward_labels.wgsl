@@ -5,7 +5,7 @@
 // ends; a second one back to front recovers each weight by division while the product behind grows, eight splats at a
 // time. The two outputs of a splat are summed over pixels through workgroup memory (16 KiB for the pairs, 2 KiB for the
 // sums of each share of pixels), then added atomically once a tile. Nothing stops early: what lies behind a saturated
-// pixel still counts in That. Weights behind LEAST are below any that matter and taken as zero, since the transmittance
+// pixel still counts in That. Weights behind MIN_LABEL_TRANSMITTANCE are below any that matter and taken as zero, since the transmittance
 // there cannot be divided back.
 #import alpha
 #import camera
@@ -20,7 +20,7 @@ const WG_SIZE = 256u;
 // Splats a batch.
 const BATCH = 8u;
 const N_SHARES = 32u;
-const LEAST = 1e-30;
+const MIN_LABEL_TRANSMITTANCE = 1e-30;
 
 var<workgroup> sh_pair: array<vec2f, 2048>;
 var<workgroup> sh_sum: array<vec2f, 256>;
@@ -65,7 +65,7 @@ fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) loca
             sh_footprint[local_ix] = footprint_of(splats[gaussian_of_slot[first + local_ix]]);
         }
         workgroupBarrier();
-        for (var k = 0u; k < n && transmittance >= LEAST; k++) {
+        for (var k = 0u; k < n && transmittance >= MIN_LABEL_TRANSMITTANCE; k++) {
             transmittance *= 1.0 - capped(alpha_at(sh_footprint[k], centre));
             own_end = first + k + 1u;
         }

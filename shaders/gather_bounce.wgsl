@@ -30,7 +30,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
         let at = direction_ix * transport.n + gaussian_ix;
         let from_ix = hits[at];
         let share = 1.0 - transmittances[at];
-        if !(facing > 0.0) || from_ix >= transport.n || share < LEAST_BLOCKED {
+        if !(facing > 0.0) || from_ix >= transport.n || share < MIN_BLOCKED_SHARE {
             continue;
         }
         shares += share;

@@ -37,7 +37,7 @@ fn of_lights(gaussian_ix: u32, normal: vec3f) -> vec3f {
 // Row of one colour of one node times the Gaussian's visibility.
 fn through_visibility(gaussian_ix: u32, row: u32) -> f32 {
     if model.visibility_form == VISIBILITY_OFF {
-        return values[row] * FULLY_OPEN;
+        return values[row] * UNOCCLUDED_SH0;
     }
     let first = model.visibility + model.n_visibility * gaussian_ix;
     var sum = 0.0;

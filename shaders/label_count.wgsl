@@ -28,7 +28,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     }
     workgroupBarrier();
     if gaussian_ix < uniforms.n {
-        if view_labels[gaussian_ix].y > LEAST_LABEL_WEIGHT {
+        if view_labels[gaussian_ix].y > MIN_LABEL_WEIGHT {
             atomicAdd(&sh_count, 1u);
         }
     }

@@ -42,7 +42,7 @@ struct MonteCarlo {
 @group(0) @binding(9) var<storage, read_write> sent: array<vec4f>;
 
 // Radiance is f32 and finite, whatever a single sample of an extreme light came to.
-const BRIGHTEST = 1e36;
+const MAX_RADIANCE = 1e36;
 
 struct Picked {
     ix: u32,
@@ -106,7 +106,7 @@ fn draw(r: Reflector, sample_ix: u32, u: vec2f) -> Drawn {
 }
 
 fn held(v: vec3f) -> vec3f {
-    return min(select(v, vec3f(0.0), vec3<bool>(is_nan(v.x), is_nan(v.y), is_nan(v.z))), vec3f(BRIGHTEST));
+    return min(select(v, vec3f(0.0), vec3<bool>(is_nan(v.x), is_nan(v.y), is_nan(v.z))), vec3f(MAX_RADIANCE));
 }
 
 // One sample: light through the Gaussians, `blocked` where they hide it.
@@ -136,7 +136,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     let n = camera.n_pixels;
     let pixel_ix = gid.y * camera.size.x + gid.x;
     let coverage = channel_coverage(gbuffer[pixel_ix]);
-    if !(coverage >= LEAST_COVERAGE) {
+    if !(coverage >= MIN_COVERAGE) {
         return;
     }
     let inverse = 1.0 / coverage;

@@ -64,7 +64,7 @@ fn measure(gaussian_ix: u32, query: vec4f) -> Seen {
             seen.hit = other_ix;
         }
         seen.transmittance *= 1.0 - alpha;
-        if seen.transmittance < OPAQUE {
+        if seen.transmittance < MIN_TRANSMITTANCE {
             seen.transmittance = 0.0;
             break;
         }

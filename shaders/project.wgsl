@@ -64,14 +64,14 @@ fn project(gaussian_ix: u32) -> Splat {
     let x = scale * vec3f(dot(to_x, axes[0]), dot(to_x, axes[1]), dot(to_x, axes[2]));
     let y = scale * vec3f(dot(to_y, axes[0]), dot(to_y, axes[1]), dot(to_y, axes[2]));
     let raw = vec3f(dot(x, x), dot(x, y), dot(y, y));
-    if !(raw.x < LARGEST_VARIANCE && raw.z < LARGEST_VARIANCE) {
+    if !(raw.x < MAX_SCREEN_VARIANCE && raw.z < MAX_SCREEN_VARIANCE) {
         return invisible();
     }
     let area = cross(x, y);
     let raw_determinant = dot(area, area);
     let lp = camera.low_pass;
     let determinant = raw_determinant + lp * (raw.x + raw.z) + lp * lp;
-    if !(determinant > LEAST_DETERMINANT) {
+    if !(determinant > MIN_DETERMINANT) {
         return invisible();
     }
     var s: Splat;
@@ -88,7 +88,7 @@ fn project(gaussian_ix: u32) -> Splat {
     }
     s.mean = camera.focal * (at_camera.xy / at_camera.z) + camera.centre_px;
     // Beyond this no pixel is anywhere near, and the way back would overflow.
-    if !(abs(s.mean.x) < FARTHEST_PIXEL && abs(s.mean.y) < FARTHEST_PIXEL) {
+    if !(abs(s.mean.x) < MAX_PIXEL_DISTANCE && abs(s.mean.y) < MAX_PIXEL_DISTANCE) {
         return invisible();
     }
     s.reach = log(255.0 * s.opacity);

@@ -19,7 +19,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     }
     let coverage = channel_coverage(gbuffer[pixel_ix]);
     var sent = Reflected(vec3f(0.0), vec3f(0.0));
-    if coverage >= LEAST_COVERAGE {
+    if coverage >= MIN_COVERAGE {
         let ray = pixel_ray(camera, pixel_ix % camera.size.x, pixel_ix / camera.size.x);
         sent = sent_of(pixel_reflector(pixel_ix, coverage, ray), light, 0.0);
     }

@@ -104,7 +104,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     let first = gbuffer[pixel_ix];
     let coverage = channel_coverage(first);
     put(ALPHA, pixel_ix, coverage);
-    if !(coverage >= LEAST_COVERAGE) {
+    if !(coverage >= MIN_COVERAGE) {
         put_nothing(pixel_ix);
         return;
     }
@@ -126,7 +126,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     let unit = s.normal / length;
     let normal = select(unit, -unit, dot(unit, s.view) < 0.0);
     put_rgb(ALBEDO, pixel_ix, s.albedo);
-    put_rgb(NORMAL, pixel_ix, select(vec3f(0.0), normal, length > LEAST_COVERAGE));
+    put_rgb(NORMAL, pixel_ix, select(vec3f(0.0), normal, length > MIN_COVERAGE));
     put(METALLIC, pixel_ix, s.metal);
     put(ROUGHNESS, pixel_ix, s.rough);
     if is_wanted(VISIBILITY_PLANE) {

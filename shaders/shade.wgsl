@@ -17,7 +17,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     let coverage = channel_coverage(first);
     let behind = shading.background.xyz * (1.0 - coverage);
     radiance[pixel_ix] = vec4f(channel_radiance(first) + behind, 0.0);
-    if !(coverage >= LEAST_COVERAGE) {
+    if !(coverage >= MIN_COVERAGE) {
         physical[pixel_ix] = vec4f(behind, 0.0);
         return;
     }

@@ -37,7 +37,7 @@ fn pixel_backward(pixel: vec2u) -> Shares {
     var by_coverage = on_material.x - dot(g_radiance, shading.background.xyz);
     var inverse = 0.0;
     var by: SurfaceGradient;
-    if coverage >= LEAST_COVERAGE {
+    if coverage >= MIN_COVERAGE {
         inverse = 1.0 / coverage;
         var s = pixel_surface(pixel, pixel_ix, coverage);
         var f = shade(&s);

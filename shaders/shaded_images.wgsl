@@ -24,7 +24,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     let behind = composite.background.xyz * (1.0 - coverage);
     radiance[pixel_ix] = vec4f(channel_radiance(first) + behind, 0.0);
     var shown = vec3f(0.0);
-    if coverage >= LEAST_COVERAGE {
+    if coverage >= MIN_COVERAGE {
         let outgoing = channel_outgoing(gbuffer[ROUGH_GROUP * composite.n_pixels + pixel_ix]);
         shown = display(outgoing / coverage, composite.srgb != 0u);
     }

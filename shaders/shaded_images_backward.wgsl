@@ -28,7 +28,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     let on_material = by_buffers[n + pixel_ix];
     var by_coverage = on_material.x - dot(g + g_radiance, composite.background.xyz);
     var by_sum = vec3f(0.0);
-    if coverage >= LEAST_COVERAGE {
+    if coverage >= MIN_COVERAGE {
         let is_srgb = composite.srgb != 0u;
         let light = channel_outgoing(gbuffer[ROUGH_GROUP * n + pixel_ix]) / coverage;
         let by_light = display_backward(light, g * coverage, is_srgb);

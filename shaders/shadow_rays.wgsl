@@ -25,19 +25,19 @@ fn point_at(place: vec2f, seen: f32, plane: vec4f, lift: vec3f) -> vec3f {
     let ray = to_world(camera, vec3f(uv, 1.0));
     let along = dot(channel_normal(plane), ray);
     let mean = channel_plane(plane) / select(along, 1e-30, along == 0.0);
-    let depth = select(seen, mean, abs(mean - seen) <= FARTHEST_MEAN * seen);
+    let depth = select(seen, mean, abs(mean - seen) <= MAX_MEAN_DEPTH_ERROR * seen);
     return camera.centre.xyz + depth * ray + lift;
 }
 
 fn share_of(pixel: vec2u, pixel_ix: u32) -> f32 {
-    var places = SHADOW_PLACES;
+    var places = SHADOW_SAMPLE_OFFSETS;
     let plane = gbuffer[NORMAL_GROUP * camera.n_pixels + pixel_ix];
     let normal = normalised3(channel_normal(plane));
     let away = dot(normal, pixel_ray(camera, pixel.x, pixel.y)) > 0.0;
     let lift = select(LIFT, -LIFT, away) * normal;
     var sum = 0.0;
     for (var i = 0u; i < light.n_rays; i++) {
-        let at = 2u * (i % N_SHADOW_PLACES);
+        let at = 2u * (i % N_SHADOW_SAMPLES);
         let place = vec2f(pixel) + 0.5 + vec2f(places[at], places[at + 1u]);
         let point = point_at(place, depths[pixel_ix], plane, lift);
         sum += ray_transmittance(point, light.directions[i % light.n_directions].xyz, rules);
@@ -51,7 +51,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
         return;
     }
     let pixel_ix = gid.y * camera.size.x + gid.x;
-    if !(channel_coverage(gbuffer[pixel_ix]) >= LEAST_COVERAGE) {
+    if !(channel_coverage(gbuffer[pixel_ix]) >= MIN_COVERAGE) {
         return;
     }
     let total = reflected[pixel_ix].yzw;

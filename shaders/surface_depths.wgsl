@@ -27,7 +27,7 @@ fn depth_on_plane(gaussian_ix: u32, centre: f32, ray: vec3f) -> f32 {
     let row = attributes[gaussian_ix * rows.groups + NORMAL_GROUP];
     let along = dot(channel_normal(row), ray);
     let depth = channel_plane(row) / select(along, 1e-30, along == 0.0);
-    return select(centre, depth, abs(depth - centre) <= FARTHEST_PLANE * centre);
+    return select(centre, depth, abs(depth - centre) <= MAX_PLANE_DEPTH_ERROR * centre);
 }
 
 @compute @workgroup_size(16, 16)

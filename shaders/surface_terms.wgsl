@@ -86,7 +86,7 @@ fn consistency(pixel: vec2u) -> Consistency {
         plane_depth(pixel + vec2u(1u, 0u), ray_right),
         plane_depth(pixel + vec2u(0u, 1u), ray_down),
     );
-    if !all(t > vec3f(0.0)) || any(abs(t - t.x) > vec3f(DEPTH_JUMP * t.x)) {
+    if !all(t > vec3f(0.0)) || any(abs(t - t.x) > vec3f(MAX_DEPTH_STEP * t.x)) {
         return out;
     }
     let point = t.x * ray;
@@ -145,7 +145,7 @@ struct Attributes {
 
 fn attributes_at(pixel_ix: u32) -> Attributes {
     let coverage = channel_coverage(gbuffer[pixel_ix]);
-    let inverse = select(0.0, 1.0 / max(coverage, 1e-6), coverage >= LEAST_COVERAGE);
+    let inverse = select(0.0, 1.0 / max(coverage, 1e-6), coverage >= MIN_COVERAGE);
     let n = camera.n_pixels;
     return Attributes(
         channel_normal(gbuffer[NORMAL_GROUP * n + pixel_ix]) * inverse,

@@ -66,8 +66,8 @@ struct Update {
 // By Gaussian: sum of absgrad (blend_backward) in half image widths, steps on screen: the signal of density control.
 @group(0) @binding(13) var<storage, read_write> density: array<vec2f>;
 @group(0) @binding(14) var<storage, read_write> status: array<atomic<u32>>;
-// What the tile lists hold (tile_room.wgsl): when they were short, nothing is updated.
-@group(0) @binding(15) var<storage, read> listed: array<u32>;
+// What the tile lists hold (tile_capacity.wgsl): when they were short, nothing is updated.
+@group(0) @binding(15) var<storage, read> list_status: array<u32>;
 #ifdef GRADIENTS
 @group(0) @binding(16) var<storage, read> params: array<f32>;
 @group(0) @binding(17) var<storage, read_write> gradients: array<f32>;
@@ -136,14 +136,14 @@ struct Radiance {
 // Returns the gradient of the centre through the direction.
 fn radiance_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f, out: ptr<function, Radiance>) -> vec3f {
     let base = model.radiance + gaussian_ix * 3u * model.n_radiance;
-    let order = sh_order_of(model.n_radiance);
+    let sh_degree = sh_degree_of(model.n_radiance);
     let by_colour = channel_radiance(channels(up, COVERAGE_GROUP));
     if all(by_colour == vec3f(0.0)) {
         return vec3f(0.0);
     }
     let direction = normalised3(to_mean);
     var raw = vec3f(0.5);
-    for (var term = sh_first(order, direction); sh_is_term(term); sh_next(&term)) {
+    for (var term = sh_first(sh_degree, direction); sh_is_term(term); sh_next(&term)) {
         let ix = sh_indices(term);
         let y = sh_values(term);
         raw += y.x * params_vec3(base + 3u * ix.x);
@@ -153,7 +153,7 @@ fn radiance_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f, out: ptr<fu
     }
     let g = select(vec3f(0.0), by_colour, raw > vec3f(0.0));
     var by_direction = vec3f(0.0);
-    for (var term = sh_first(order, direction); sh_is_term(term); sh_next(&term)) {
+    for (var term = sh_first(sh_degree, direction); sh_is_term(term); sh_next(&term)) {
         let ix = sh_indices(term);
         let derivatives = sh_gradients(term);
         by_direction += dot(g, params_vec3(base + 3u * ix.x)) * derivatives[0];
@@ -172,7 +172,7 @@ fn emit_radiance(first_ix: u32, local_ix: u32, own: Radiance) {
     }
     sh_derivative[local_ix] = vec4f(own.by_colour, 0.0);
     for (var coefficient = 0u; coefficient < model.n_radiance; coefficient += N_STAGED) {
-        for (var term = sh_first(sh_order_of(model.n_radiance), own.direction); sh_is_term(term); sh_next(&term)) {
+        for (var term = sh_first(sh_degree_of(model.n_radiance), own.direction); sh_is_term(term); sh_next(&term)) {
             // Below `coefficient` the difference wraps around and is large.
             let ix = sh_indices(term) - coefficient;
             let y = select(vec2f(0.0), sh_values(term), own.is_active);
@@ -207,14 +207,14 @@ fn visibility_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f) -> f32 {
         return 0.0;
     }
     let first_ix = gaussian_ix * model.n_visibility;
-    let order = sh_order_of(model.n_visibility);
+    let sh_degree = sh_degree_of(model.n_visibility);
     let direction = normalised3(to_mean);
     var label = vec2f(0.0);
     if update.view_labels != 0.0 {
-        label = view_label(gaussian_ix, up, order, direction);
+        label = view_label(gaussian_ix, up, sh_degree, direction);
     }
     var value = label.x;
-    for (var term = sh_first(order, direction); sh_is_term(term); sh_next(&term)) {
+    for (var term = sh_first(sh_degree, direction); sh_is_term(term); sh_next(&term)) {
         let ix = sh_indices(term);
         let by_y = select(vec2f(0.0), label.y * sh_values(term), label.y != 0.0);
         for (var side = 0u; side < select(2u, 1u, term.m == 0u); side++) {
@@ -435,7 +435,7 @@ fn reduce_losses(local_ix: u32, values: vec4f) {
 @compute @workgroup_size(WG_SIZE)
 fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg: vec3u,
     @builtin(local_invocation_index) local_ix: u32) {
-    if listed[1] != 0u {
+    if list_status[1] != 0u {
         return;
     }
     let gaussian_ix = invocation_ix(gid, n_wg);

@@ -7,7 +7,7 @@ use std::time::Duration;
 use glam::DVec3;
 use relume::cli::eval::{EvalArgs, QualityArgs, run};
 use relume_capture::formats::model_file;
-use relume_capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
+use relume_capture::{Capture, CaptureView, GroundTruthView, SceneBounds};
 use relume_engine::Device;
 use relume_engine::DeviceChoice;
 use relume_scene::{
@@ -108,10 +108,10 @@ fn drawn_by(model: &Arc<Model>) -> Capture {
         train: Vec::new(),
         test: (0..3).map(view).collect(),
         points: Vec::new(),
-        bounds: Scene3dBounds { centre: DVec3::ZERO, radius: 1.0 },
+        bounds: SceneBounds { centre: DVec3::ZERO, radius: 1.0 },
         has_alpha: true,
         lights: [("lamp".to_owned(), lamp)].into(),
-        lit_by: None,
+        measured_light: None,
         grey_card: None,
         warnings: Vec::new(),
     }

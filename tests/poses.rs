@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::Duration;
 
-use relume_capture::poses::{PoseError, PoseOptions, PoseStage, Watch, find_poses};
-use relume_capture::{ImportLimits, ImportOptions, Unposed, cameras, import};
+use relume_capture::poses::{PoseError, PoseOptions, PoseStage, RunControl, find_poses};
+use relume_capture::{ImportLimits, ImportOptions, PhotosWithoutPoses, cameras, import};
 use relume_train::eval::PoseErrors;
 use tempfile::TempDir;
 
@@ -93,13 +93,14 @@ impl Place {
 
     /// [`find_poses`] with the script, and how far it said it was.
     fn find(&self, limit: Duration, cancelled: bool) -> (Result<usize, PoseError>, Vec<PoseStage>) {
-        let photographs = Unposed::open(&self.at("photos"), &ImportLimits::default()).unwrap().unwrap();
+        let photographs =
+            PhotosWithoutPoses::open(&self.at("photos"), &ImportLimits::default()).unwrap().unwrap();
         let options = PoseOptions { program: self.at("bin/colmap"), ..PoseOptions::default() };
         let (mut stages, is_cancelled) = (Vec::new(), || cancelled);
         let mut progress = |progress: relume_capture::poses::PoseProgress| stages.push(progress.stage);
-        let mut watch = Watch::new(limit, &mut progress, &is_cancelled);
-        let found = find_poses(&photographs, &self.at("found"), &options, &mut watch);
-        (found.map(|poses| poses.unplaced.len()), stages)
+        let mut run_control = RunControl::new(limit, &mut progress, &is_cancelled);
+        let found = find_poses(&photographs, &self.at("found"), &options, &mut run_control);
+        (found.map(|poses| poses.unregistered.len()), stages)
     }
 }
 
@@ -255,12 +256,12 @@ fn colmap_finds_the_poses_of_phone_photographs() {
             fs::copy(&photo, photos.join(photo.file_name().unwrap())).unwrap();
         }
     }
-    let photographs = Unposed::open(&photos, &ImportLimits::default()).unwrap().unwrap();
+    let photographs = PhotosWithoutPoses::open(&photos, &ImportLimits::default()).unwrap().unwrap();
     let mut progress = |_| {};
-    let mut watch = Watch::new(Duration::from_secs(3600), &mut progress, &|| false);
+    let mut run_control = RunControl::new(Duration::from_secs(3600), &mut progress, &|| false);
     let into: &Path = &folder.path().join("found");
-    let poses = find_poses(&photographs, into, &PoseOptions::default(), &mut watch).unwrap();
-    assert!(poses.unplaced.len() <= 2, "{:?}", poses.unplaced);
+    let poses = find_poses(&photographs, into, &PoseOptions::default(), &mut run_control).unwrap();
+    assert!(poses.unregistered.len() <= 2, "{:?}", poses.unregistered);
     let named = |path: &Path| {
         let list = cameras(path, &ImportLimits::default()).unwrap().into_iter();
         list.map(|photo| (photo.name.rsplit('/').next().unwrap().to_owned(), photo.camera))

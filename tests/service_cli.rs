@@ -8,7 +8,7 @@ use relume_capture::formats::{image_file, model_file};
 use relume_capture::{ImportOptions, inspect};
 use relume_engine::Device;
 use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
-use relume_train::{Room, Trainer, import_for_training};
+use relume_train::{MemoryBudget, Trainer, import_for_training};
 
 use tempfile::TempDir;
 
@@ -127,9 +127,13 @@ fn cli_training_resumes_from_its_checkpoint_and_removes_it() {
         ..TrainOverrides::default()
     };
     let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-    let capture =
-        import_for_training(&at.join("scan.zip"), &config, &ImportLimits::default(), Room::unbounded())
-            .unwrap();
+    let capture = import_for_training(
+        &at.join("scan.zip"),
+        &config,
+        &ImportLimits::default(),
+        MemoryBudget::unbounded(),
+    )
+    .unwrap();
     let mut trainer = Trainer::new(&capture, config, &Device::Cpu).unwrap();
     (0..7).for_each(|_| {
         trainer.step().unwrap();

@@ -1,7 +1,7 @@
 // What a surface sends of the lights beside the tables: the port of src/engine/cpu/direct.rs, a part of `shading`.
 
 // Least alpha = roughness^2 of a highlight.
-const LEAST_ALPHA = 1e-4;
+const MIN_GGX_ALPHA = 1e-4;
 
 struct Direct {
     irradiance: vec3f,
@@ -42,11 +42,11 @@ fn highlight_of(s: ptr<function, Surface>, normal: vec3f, nov: f32, nol: f32, li
     f.across = cross(normal, f.half_way);
     f.across_squared = dot(f.across, f.across);
     let squared = (*s).rough * (*s).rough;
-    let alpha = max(squared, LEAST_ALPHA);
+    let alpha = max(squared, MIN_GGX_ALPHA);
     let widened = alpha * alpha + 0.25 * light.w * light.w;
     let a = min(widened, 1.0);
     f.alpha_squared = a;
-    f.alpha_squared_by_rough = select(0.0, 4.0 * alpha * (*s).rough, squared > LEAST_ALPHA && widened < 1.0);
+    f.alpha_squared_by_rough = select(0.0, 4.0 * alpha * (*s).rough, squared > MIN_GGX_ALPHA && widened < 1.0);
     f.spread = a + (1.0 - a) * f.across_squared;
     f.distribution = a * INV_PI / (f.spread * f.spread);
     f.root_nol = sqrt(a + (1.0 - a) * nol * nol);

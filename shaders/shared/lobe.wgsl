@@ -16,8 +16,8 @@ fn lobe_cell(roughness: f32) -> LobeCell {
 
 // `h_l` and its derivative by roughness.
 fn lobe_value(cell: LobeCell, l: u32) -> vec2f {
-    let at = LUT_FLOATS + cell.row * LOBE_ORDERS + l;
+    let at = LUT_FLOATS + cell.row * LOBE_DEGREES + l;
     let low = constants[at];
-    let high = constants[at + LOBE_ORDERS];
+    let high = constants[at + LOBE_DEGREES];
     return vec2f(low * (1.0 - cell.fraction) + high * cell.fraction, (high - low) * cell.derivative);
 }

@@ -8,7 +8,7 @@ fn pixel_visibility(pixel_ix: u32, quad: u32, inverse: f32) -> vec4f {
     return masked_quad(quad, gbuffer[(VISIBILITY_GROUP + quad) * camera.n_pixels + pixel_ix] * inverse);
 }
 
-// For pixels of coverage >= LEAST_COVERAGE.
+// For pixels of coverage >= MIN_COVERAGE.
 fn pixel_surface(pixel: vec2u, pixel_ix: u32, coverage: f32) -> Surface {
     let n = camera.n_pixels;
     let inverse = 1.0 / coverage;

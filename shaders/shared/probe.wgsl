@@ -116,7 +116,7 @@ fn flatten(o: Occluder, frame: Frame, grid: PlaneGrid) -> Flat {
     let y = frame.v.xyz * axes;
     let along = frame.d.xyz * axes;
     let narrow = vec2f(dot(x, x), dot(y, y));
-    if !(narrow.x < WIDEST && narrow.y < WIDEST) {
+    if !(narrow.x < MAX_OCCLUDER_VARIANCE && narrow.y < MAX_OCCLUDER_VARIANCE) {
         return flat;
     }
     // A disc seen edge-on would have a width of 0.

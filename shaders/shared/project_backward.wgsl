@@ -51,7 +51,7 @@ fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: ve
     var by_screen1 = -2.0 * (c.y * v0 + c.z * v1);
     var by_length = -2.0 * (y0 * v0 + y1 * v1);
     // The gradient of sqrt(det raw / det covariance); below, its root no longer has a derivative that f32 can hold.
-    if camera.low_pass_compensation != 0u && raw_determinant > LEAST_DETERMINANT {
+    if camera.low_pass_compensation != 0u && raw_determinant > MIN_DETERMINANT {
         let factor = s.compensation * by_tail.y * sigmoid(logit);
         let sharper0 = factor * (adjugate0 / raw_determinant - y0);
         let sharper1 = factor * (adjugate1 / raw_determinant - y1);

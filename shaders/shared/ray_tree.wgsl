@@ -20,7 +20,7 @@ struct RayRules {
 }
 
 // Directions are kept this far from the axes: a ray within the face of a box has no quotient.
-const LEAST_SLOPE = 1e-20;
+const MIN_SLOPE = 1e-20;
 
 fn meets_box(low: vec3f, high: vec3f, origin: vec3f, inverse: vec3f) -> bool {
     let a = (low - origin) * inverse;
@@ -54,7 +54,7 @@ fn alpha_on_ray(member_ix: u32, origin: vec3f, d: vec3f, across: mat2x3f, rules:
     let area = cross(x, y);
     let determinant = dot(area, area) + widening * sum + widening * widening;
     let variance = narrow + widening;
-    if !(determinant > 0.0 && variance.x < WIDEST && variance.y < WIDEST) {
+    if !(determinant > 0.0 && variance.x < MAX_OCCLUDER_VARIANCE && variance.y < MAX_OCCLUDER_VARIANCE) {
         return 0.0;
     }
     let p = offset * across;
@@ -69,7 +69,7 @@ fn alpha_on_ray(member_ix: u32, origin: vec3f, d: vec3f, across: mat2x3f, rules:
 
 // Share of light, 0 to 1, that reaches `origin` from the unit direction `towards`.
 fn ray_transmittance(origin: vec3f, towards: vec3f, rules: RayRules) -> f32 {
-    let d = select(towards, select(vec3f(LEAST_SLOPE), vec3f(-LEAST_SLOPE), towards < vec3f(0.0)), abs(towards) < vec3f(LEAST_SLOPE));
+    let d = select(towards, select(vec3f(MIN_SLOPE), vec3f(-MIN_SLOPE), towards < vec3f(0.0)), abs(towards) < vec3f(MIN_SLOPE));
     let inverse = 1.0 / d;
     let across = orthonormal_pair(d);
     var left = 1.0;
@@ -92,7 +92,7 @@ fn ray_transmittance(origin: vec3f, towards: vec3f, rules: RayRules) -> f32 {
         for (var member_ix = low.w; member_ix < low.w + high.w; member_ix++) {
             left *= 1.0 - alpha_on_ray(member_ix, origin, d, across, rules);
         }
-        if left < OPAQUE {
+        if left < MIN_TRANSMITTANCE {
             return 0.0;
         }
     }

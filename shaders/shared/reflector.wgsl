@@ -4,7 +4,7 @@
 #import quaternion
 
 const PI = 3.14159265;
-const LEAST_ALPHA = 1e-4;
+const MIN_GGX_ALPHA = 1e-4;
 
 struct Reflector {
     // Unit, on the side of the camera.
@@ -36,8 +36,8 @@ fn reflector_of(normal: vec3f, view: vec3f, albedo: vec3f, metal: f32, rough: f3
     r.tangent = pair[0];
     r.bitangent = pair[1];
     r.view = view;
-    r.nov = clamp(dot(r.normal, view), LEAST_NOV, 1.0);
-    r.alpha = max(rough * rough, LEAST_ALPHA);
+    r.nov = clamp(dot(r.normal, view), MIN_NOV, 1.0);
+    r.alpha = max(rough * rough, MIN_GGX_ALPHA);
     r.diffuse = albedo * ((1.0 - metal) / PI);
     r.f0 = DIELECTRIC_F0 * (1.0 - metal) + albedo * metal;
     return r;

@@ -2,16 +2,16 @@
 // its order and signs are those of src/light/sh.rs. Index of (l, m) is l * l + l + m.
 #import generated/light
 
-// Values of all harmonics up to `order` along the unit direction `d`.
-fn sh_basis(order: u32, d: vec3f, out: ptr<function, array<f32, 49>>) {
+// Values of all harmonics up to `sh_degree` along the unit direction `d`.
+fn sh_basis(sh_degree: u32, d: vec3f, out: ptr<function, array<f32, 49>>) {
     var norms = SH_NORM;
     var diagonal = 1.0;
     // (x + i y)^m.
     var turn = vec2f(1.0, 0.0);
-    for (var m = 0u; m <= order; m++) {
+    for (var m = 0u; m <= sh_degree; m++) {
         var before = 0.0;
         var q = diagonal;
-        for (var l = m; l <= order; l++) {
+        for (var l = m; l <= sh_degree; l++) {
             if l == m + 1u {
                 before = q;
                 q = d.z * f32(2u * m + 1u) * q;
@@ -35,7 +35,7 @@ fn sh_basis(order: u32, d: vec3f, out: ptr<function, array<f32, 49>>) {
 // As `sh_basis`, with the gradient of each harmonic as a polynomial in (x, y, z): callers that normalise `d` must
 // project the radial part out.
 fn sh_basis_with_gradient(
-    order: u32,
+    sh_degree: u32,
     d: vec3f,
     out: ptr<function, array<f32, 49>>,
     gradient: ptr<function, array<vec3f, 49>>,
@@ -45,11 +45,11 @@ fn sh_basis_with_gradient(
     var turn = vec2f(1.0, 0.0);
     // m (x + i y)^(m - 1).
     var derivative = vec2f(0.0, 0.0);
-    for (var m = 0u; m <= order; m++) {
+    for (var m = 0u; m <= sh_degree; m++) {
         // Q and dQ/dz at l and l - 1.
         var before = vec2f(0.0, 0.0);
         var q = vec2f(diagonal, 0.0);
-        for (var l = m; l <= order; l++) {
+        for (var l = m; l <= sh_degree; l++) {
             if l == m + 1u {
                 before = q;
                 q = vec2f(d.z, 1.0) * f32(2u * m + 1u) * diagonal;
@@ -76,6 +76,6 @@ fn sh_basis_with_gradient(
 }
 
 // Degree of a field of `n` coefficients: sqrt(n) - 1.
-fn sh_order_of(n: u32) -> u32 {
+fn sh_degree_of(n: u32) -> u32 {
     return u32(sqrt(f32(n)) + 0.5) - 1u;
 }

@@ -6,7 +6,7 @@
 
 struct ShTerm {
     d: vec3f,
-    order: u32,
+    sh_degree: u32,
     l: u32,
     m: u32,
     // Q_l^m and its derivative by z, at l and at l - 1.
@@ -25,12 +25,12 @@ struct ShTerm {
 const FOUR_PI = 12.566370614;
 
 // At l = m = 0 along the unit direction `d`.
-fn sh_first(order: u32, d: vec3f) -> ShTerm {
-    return ShTerm(d, order, 0u, 0u, vec2f(1.0, 0.0), vec2f(0.0), 1.0, 1.0, 1.0, vec2f(1.0, 0.0), vec2f(0.0));
+fn sh_first(sh_degree: u32, d: vec3f) -> ShTerm {
+    return ShTerm(d, sh_degree, 0u, 0u, vec2f(1.0, 0.0), vec2f(0.0), 1.0, 1.0, 1.0, vec2f(1.0, 0.0), vec2f(0.0));
 }
 
 fn sh_is_term(w: ShTerm) -> bool {
-    return w.m <= w.order;
+    return w.m <= w.sh_degree;
 }
 
 // Indices of the coefficients +m and -m; equal where m = 0, and then only the first counts.
@@ -59,7 +59,7 @@ fn sh_gradients(w: ShTerm) -> mat2x3f {
 
 fn sh_next(w: ptr<function, ShTerm>) {
     let m = (*w).m;
-    if (*w).l < (*w).order {
+    if (*w).l < (*w).sh_degree {
         let l = (*w).l + 1u;
         let a = f32(2u * l - 1u);
         let b = f32(l + m - 1u);

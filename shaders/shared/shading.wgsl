@@ -60,11 +60,11 @@ struct Shaded {
 }
 
 // Degree of the visibility field: known to the compiler where unrolled loops over it stay small.
-fn order() -> u32 {
+fn sh_degree() -> u32 {
 #ifdef ORDER
     return ORDER;
 #else
-    return sh_order_of(tables.n_coefficients);
+    return sh_degree_of(tables.n_coefficients);
 #endif
 }
 
@@ -97,7 +97,7 @@ fn node_irradiance(s: ptr<function, Surface>, node: u32) -> vec3f {
     let quads = tables.coefficients / 4u;
     let first = node * 3u * quads;
     if is_scalar() {
-        return FULLY_OPEN * vec3f(light_quads[first].x, light_quads[first + quads].x, light_quads[first + 2u * quads].x);
+        return UNOCCLUDED_SH0 * vec3f(light_quads[first].x, light_quads[first + quads].x, light_quads[first + 2u * quads].x);
     }
     var sum = vec3f(0.0);
     for (var quad = 0u; quad < N_QUADS; quad++) {
@@ -132,9 +132,9 @@ fn level_light(level: u32, taps: Taps) -> vec3f {
 // `sum_l factors[l] <c, Y>_l` along `d`.
 fn field_along(s: ptr<function, Surface>, d: vec3f, factors: ptr<function, array<f32, 7>>) -> f32 {
     var y: array<f32, 49>;
-    sh_basis(order(), d, &y);
+    sh_basis(sh_degree(), d, &y);
     var sum = 0.0;
-    for (var l = 0u; l <= order(); l++) {
+    for (var l = 0u; l <= sh_degree(); l++) {
         var band = 0.0;
         for (var j = l * l; j < (l + 1u) * (l + 1u); j++) {
             band += y[j] * (*s).visibility[j / 4u][j % 4u];
@@ -170,7 +170,7 @@ fn attenuation(cell: LobeCell, l: u32) -> vec2f {
 fn visible_raw(s: ptr<function, Surface>, reflection: vec3f) -> f32 {
     let cell = lobe_cell((*s).rough);
     var factors: array<f32, 7>;
-    for (var l = 0u; l <= order(); l++) {
+    for (var l = 0u; l <= sh_degree(); l++) {
         factors[l] = attenuation(cell, l).x;
     }
     return field_along(s, reflection, &factors);
@@ -185,8 +185,8 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
     f.flipped = facing < 0.0;
     f.normal = select(f.normal, -f.normal, f.flipped);
     let nov_raw = abs(facing);
-    f.nov = clamp(nov_raw, LEAST_NOV, 1.0);
-    f.nov_inside = nov_raw > LEAST_NOV && nov_raw < 1.0;
+    f.nov = clamp(nov_raw, MIN_NOV, 1.0);
+    f.nov_inside = nov_raw > MIN_NOV && nov_raw < 1.0;
     let bent = 2.0 * f.nov * f.normal - (*s).view;
     f.reflection_length = length3(bent);
     f.reflection = bent / f.reflection_length;

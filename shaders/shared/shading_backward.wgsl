@@ -38,9 +38,9 @@ fn field_backward(
 ) -> vec3f {
     var y: array<f32, 49>;
     var dy: array<vec3f, 49>;
-    sh_basis_with_gradient(order(), d, &y, &dy);
+    sh_basis_with_gradient(sh_degree(), d, &y, &dy);
     var by_d = vec3f(0.0);
-    for (var l = 0u; l <= order(); l++) {
+    for (var l = 0u; l <= sh_degree(); l++) {
         let factor = (*factors)[l];
         for (var j = l * l; j < (l + 1u) * (l + 1u); j++) {
             let c = (*s).visibility[j / 4u][j % 4u];
@@ -73,7 +73,7 @@ fn visibility_backward(
             continue;
         }
         var factors: array<vec2f, 7>;
-        for (var l = 0u; l <= order(); l++) {
+        for (var l = 0u; l <= sh_degree(); l++) {
             factors[l] = derivative * select(attenuation(cell, l), vec2f(nrsh[l], 0.0), which == 0u);
         }
         by[which] = field_backward(s, select(reflection, normal, which == 0u), &factors, out);

@@ -10,7 +10,7 @@ struct Sheen {
 
 fn sheen_of(sheen: f32, nov: f32) -> Sheen {
     let away = 1.0 - nov;
-    let held = clamp(sheen, -MOST_SHEEN, MOST_SHEEN);
+    let held = clamp(sheen, -MAX_SHEEN, MAX_SHEEN);
     let cube = away * away * away;
     let gain = exp(held * cube);
     return Sheen(gain, select(0.0, gain * cube, held == sheen), -3.0 * held * away * away * gain);

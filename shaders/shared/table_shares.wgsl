@@ -58,7 +58,7 @@ fn add_quad(at: u32, value: vec4f) {
 // What a member's share is multiplied by: its visibility, or one number for it.
 fn shared_quad(is_diffuse: bool, member_ix: u32, quad: u32) -> vec4f {
     if !is_diffuse || is_scalar() {
-        return vec4f(select(1.0, FULLY_OPEN, is_diffuse), 0.0, 0.0, 0.0);
+        return vec4f(select(1.0, UNOCCLUDED_SH0, is_diffuse), 0.0, 0.0, 0.0);
     }
     return member_visibility(member_ix, quad);
 }

@@ -5,15 +5,15 @@
 #import sh_walk
 
 // Loss of the view's label and its derivative by the visibility towards the continuing ray; zero without a label.
-fn view_label(gaussian_ix: u32, up: Upstream, order: u32, direction: vec3f) -> vec2f {
+fn view_label(gaussian_ix: u32, up: Upstream, sh_degree: u32, direction: vec3f) -> vec2f {
     let base = model.visibility + gaussian_ix * model.n_visibility;
     let label = view_labels[gaussian_ix];
-    if !(up.visible && label.y > LEAST_LABEL_WEIGHT) {
+    if !(up.visible && label.y > MIN_LABEL_WEIGHT) {
         return vec2f(0.0);
     }
     let p = label.x / label.y;
     var raw = 0.0;
-    for (var term = sh_first(order, direction); sh_is_term(term); sh_next(&term)) {
+    for (var term = sh_first(sh_degree, direction); sh_is_term(term); sh_next(&term)) {
         let ix = sh_indices(term);
         let y = sh_values(term);
         raw += y.x * params[base + ix.x];

@@ -78,8 +78,8 @@ fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let sum = textureLoad(blended, pixel, 0);
     let coverage = 1.0 - sum.a;
     let ray = normalised3(pixel_ray(camera, pixel.x, pixel.y));
-    let is_there = coverage >= LEAST_COVERAGE;
-    let value = select(vec3f(0.0), sum.rgb / max(coverage, LEAST_COVERAGE), is_there);
+    let is_there = coverage >= MIN_COVERAGE;
+    let value = select(vec3f(0.0), sum.rgb / max(coverage, MIN_COVERAGE), is_there);
     switch present.what {
         case RADIANCE: {
             if present.map_size.x > 0u {

@@ -38,7 +38,7 @@ const DEPTH = 5u;
 #endif
 
 // Largest value of a half float, a little below: the target must not become infinite.
-const MOST = 60000.0;
+const MAX_RADIANCE = 60000.0;
 
 struct Corner {
     @builtin(position) position: vec4f,
@@ -56,7 +56,7 @@ fn blended(gaussian_ix: u32, depth: f32) -> vec3f {
         case ROUGHNESS: { return vec3f(channel_rough(attributes[row + ROUGH_GROUP])); }
         case METALNESS: { return vec3f(channel_metal(attributes[row + ALBEDO_GROUP])); }
         case DEPTH: { return vec3f(depth); }
-        default: { return min(colours[gaussian_ix].yzw, vec3f(MOST)); }
+        default: { return min(colours[gaussian_ix].yzw, vec3f(MAX_RADIANCE)); }
     }
 }
 
@@ -90,12 +90,12 @@ fn corner(@builtin(vertex_index) corner_ix: u32, @builtin(instance_index) rank_i
 fn openness(gaussian_ix: u32, pixel: vec2u) -> f32 {
     let normal = normalised3(textureLoad(normals, pixel, 0).rgb);
     let away = pixel_ray(camera, pixel.x, pixel.y);
-    let order = sh_order_of(model.n_visibility);
+    let sh_degree = sh_degree_of(model.n_visibility);
     var y: array<f32, 49>;
-    sh_basis(order, select(normal, -normal, dot(normal, away) > 0.0), &y);
+    sh_basis(sh_degree, select(normal, -normal, dot(normal, away) > 0.0), &y);
     var factors = NRSH_FACTORS;
     var sum = 0.0;
-    for (var l = 0u; l <= order; l++) {
+    for (var l = 0u; l <= sh_degree; l++) {
         for (var j = l * l; j < (l + 1u) * (l + 1u); j++) {
             sum += factors[l] * y[j] * params[model.visibility + model.n_visibility * gaussian_ix + j];
         }

@@ -11,7 +11,7 @@ use relume_api::NerfstudioWorld;
 use relume_api::cameras::CameraSpec;
 use relume_api::problem::FieldError;
 use relume_capture::{CaptureError, PhotoCamera, cameras_of_transforms};
-use relume_train::render::View;
+use relume_train::render::FrameView;
 
 /// Relume's own file of cameras. An answer of `GET /v1/captures/{id}/cameras` is one.
 #[derive(Debug, Deserialize)]
@@ -40,7 +40,7 @@ pub fn path_views(
     json: &Value,
     size: (u32, u32),
     world: Option<&NerfstudioWorld>,
-) -> Result<Vec<View>, FieldError> {
+) -> Result<Vec<FrameView>, FieldError> {
     match ["cameras", "camera_path", "frames"].into_iter().find(|key| json.get(key).is_some()) {
         Some("camera_path") => nerfstudio::views(json, world),
         _ if world.is_some() => {
@@ -56,11 +56,11 @@ pub fn path_views(
 }
 
 /// The view of a photograph.
-pub fn photo_view(photo: &PhotoCamera) -> View {
-    View { camera: photo.camera, light_turn_deg: photo.light_rotation_deg }
+pub fn photo_view(photo: &PhotoCamera) -> FrameView {
+    FrameView { camera: photo.camera, light_rotation_deg: photo.light_rotation_deg }
 }
 
-fn own(json: &Value, otherwise: (u32, u32)) -> Result<Vec<View>, FieldError> {
+fn own(json: &Value, otherwise: (u32, u32)) -> Result<Vec<FrameView>, FieldError> {
     let file: CameraFile = fields(json)?;
     let view = |(i, entry): (usize, &CameraEntry)| {
         let size = (entry.width.or(file.width), entry.height.or(file.height));
@@ -72,12 +72,12 @@ fn own(json: &Value, otherwise: (u32, u32)) -> Result<Vec<View>, FieldError> {
         if !entry.light_rotation_deg.is_finite() {
             return Err(refused(format!("/cameras/{i}/light_rotation_deg"), "must be finite"));
         }
-        Ok(View { camera, light_turn_deg: entry.light_rotation_deg })
+        Ok(FrameView { camera, light_rotation_deg: entry.light_rotation_deg })
     };
     file.cameras.iter().enumerate().map(view).collect()
 }
 
-fn of_transforms(json: &Value, size: (u32, u32)) -> Result<Vec<View>, FieldError> {
+fn of_transforms(json: &Value, size: (u32, u32)) -> Result<Vec<FrameView>, FieldError> {
     let bytes = json.to_string().into_bytes();
     let cameras = cameras_of_transforms("frames", &bytes, Some(size)).map_err(|error| match &error {
         CaptureError::Field { field, reason, .. } => refused(pointer(field), reason),
@@ -93,7 +93,7 @@ mod tests {
     use relume_scene::Camera;
     use serde_json::json;
 
-    fn views(json: &Value) -> Result<Vec<View>, FieldError> {
+    fn views(json: &Value) -> Result<Vec<FrameView>, FieldError> {
         path_views(json, (64, 64), None)
     }
 
@@ -124,7 +124,7 @@ mod tests {
         ];
         for file in files {
             let [view] = views(&file).unwrap()[..] else { panic!("{file}") };
-            assert_eq!((view.camera.width, view.camera.height, view.light_turn_deg), (64, 48, 0.0));
+            assert_eq!((view.camera.width, view.camera.height, view.light_rotation_deg), (64, 48, 0.0));
             let off = (view.camera.centre() - wanted.centre()).length()
                 + (view.camera.forward() - wanted.forward()).length()
                 + (view.camera.fx / wanted.fx - 1.0).abs()

@@ -8,7 +8,7 @@ use crate::camera_path::fields::fields;
 use relume_api::NerfstudioWorld;
 use relume_api::problem::FieldError;
 use relume_scene::Camera;
-use relume_train::render::View;
+use relume_train::render::FrameView;
 
 /// Pictures of files that state no size, pixels: nerfstudio's own.
 const SIZE: (u32, u32) = (1920, 1080);
@@ -33,7 +33,7 @@ struct PathEntry {
 ///
 /// # Errors
 /// Names the field.
-pub(super) fn views(json: &Value, world: Option<&NerfstudioWorld>) -> Result<Vec<View>, FieldError> {
+pub(super) fn views(json: &Value, world: Option<&NerfstudioWorld>) -> Result<Vec<FrameView>, FieldError> {
     let refused = |pointer: String, detail: &str| FieldError { pointer, detail: detail.to_owned() };
     let file: CameraPath = fields(json)?;
     if let Some(kind) = file.camera_type.as_deref().filter(|kind| *kind != "perspective") {
@@ -57,7 +57,7 @@ pub(super) fn views(json: &Value, world: Option<&NerfstudioWorld>) -> Result<Vec
         let centre = (0.5 * f64::from(size.0), 0.5 * f64::from(size.1));
         let camera = Camera::from_opengl(&pose, size, (focal, focal), centre);
         let camera = camera.map_err(|error| bad("camera_to_world", &error.reason))?;
-        Ok(View { camera, light_turn_deg: 0.0 })
+        Ok(FrameView { camera, light_rotation_deg: 0.0 })
     };
     file.camera_path.iter().enumerate().map(view).collect()
 }

@@ -14,7 +14,7 @@ pub struct QualityArgs {
     pub tier: Option<Tier>,
     /// Directions that the Monte-Carlo tier draws for each pixel.
     #[arg(long, default_value_t = Quality::SAMPLES,
-          value_parser = clap::value_parser!(u32).range(1..=i64::from(Quality::MOST_SAMPLES)))]
+          value_parser = clap::value_parser!(u32).range(1..=i64::from(Quality::MAX_SAMPLES)))]
     pub samples: u32,
     /// Seed of those directions.
     #[arg(long, default_value_t = 0)]

@@ -38,9 +38,9 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
         println!("database      {}", database_version()?);
     }
     println!("data dir      {}", data_dir(&args.data_dir)?);
-    let faults = stored(args)?;
+    let faults = check_stored_data(args)?;
     let chosen = choose_adapter(&adapters, args.device)?;
-    println!("device        {}", verdict(args.device, chosen, &adapters));
+    println!("device        {}", explain_choice(args.device, chosen, &adapters));
     if let Some(index) = chosen {
         // Opening a device tests it.
         Device::open(DeviceChoice::Gpu(Some(index)))?;
@@ -53,7 +53,7 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
 }
 
 /// Says what is stored in a data directory and what is wrong with it; the number of faults.
-fn stored(args: &DoctorArgs) -> CommandResult<usize> {
+fn check_stored_data(args: &DoctorArgs) -> CommandResult<usize> {
     let (path, url, place) = (&args.data_dir, args.database.database_url.as_ref(), args.artifacts.place());
     if url.is_none() && !path.exists() {
         return Ok(0);
@@ -98,7 +98,7 @@ fn describe(r: &AdapterReport) {
 }
 
 /// The device that will be used, and why.
-fn verdict(choice: DeviceChoice, chosen: Option<usize>, reports: &[AdapterReport]) -> String {
+fn explain_choice(choice: DeviceChoice, chosen: Option<usize>, reports: &[AdapterReport]) -> String {
     match (choice, chosen) {
         (_, Some(index)) => format!("gpu:{index} ({choice})"),
         (DeviceChoice::Cpu, None) => "cpu (as asked)".to_owned(),

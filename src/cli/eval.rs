@@ -103,7 +103,7 @@ fn load_capture(args: &EvalArgs) -> CommandResult<Capture> {
     let options = ImportOptions { max_side: args.resolution, ..ImportOptions::default() };
     let mut capture = import(&args.capture, &options)?;
     if let Some(file) = &args.light_rotations {
-        capture.turn_lights(&read_rotations(file)?)?;
+        capture.set_light_rotations(&read_rotations(file)?)?;
     }
     capture.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
     Ok(capture)

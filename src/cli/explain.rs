@@ -39,8 +39,8 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
             "{} albedo prototypes; visibility {:?} of degree {}; radiance of degree {}; indirect light {:?}",
             g.prototypes(),
             model.shading.visibility,
-            g.visibility_order(),
-            g.radiance_order(),
+            g.visibility_degree(),
+            g.radiance_degree(),
             model.shading.indirect
         ),
         format!("environment of {} x {} texels", model.env_width, model.env_height),

@@ -8,7 +8,7 @@ use crate::cli::light::named_light;
 use crate::cli::render::{finite, up_to};
 use crate::cli::{input, output};
 use relume_scene::Model;
-use relume_spec::rendering::{MOST_BAKED_DEGREE, Shown};
+use relume_spec::rendering::{ExportedColour, MAX_BAKED_DEGREE};
 use relume_train::render::{MeshOptions, SplatFile, encode_mesh_file, encode_splat_file, relit};
 
 /// Options of `relume export`.
@@ -28,8 +28,8 @@ pub(super) struct ExportArgs {
     mesh_cells: u32,
     /// What the colour of the Gaussians shows: `radiance` (the photographs), `relit` (see `--env`), `albedo`, `normal`,
     /// `roughness` or `metallic`. With it a `.ply` is an ordinary file of splats; without, it has the materials as well.
-    #[arg(long, value_parser = named::<Shown>)]
-    layer: Option<Shown>,
+    #[arg(long, value_parser = named::<ExportedColour>)]
+    layer: Option<ExportedColour>,
     /// The light of `relit`: a `.hdr` or `.exr` file, the name of a built-in map, or `recovered`.
     #[arg(long)]
     env: Option<String>,
@@ -40,7 +40,7 @@ pub(super) struct ExportArgs {
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = up_to::<20>, requires = "env")]
     exposure: f64,
     /// SH degree of `relit`, 0 to 3: how much of the highlights follows the camera.
-    #[arg(long, default_value_t = MOST_BAKED_DEGREE as u32, value_parser = clap::value_parser!(u32).range(0..=MOST_BAKED_DEGREE as i64))]
+    #[arg(long, default_value_t = MAX_BAKED_DEGREE as u32, value_parser = clap::value_parser!(u32).range(0..=MAX_BAKED_DEGREE as i64))]
     relit_degree: u32,
     /// Turn each Gaussian until its shortest axis is its shading normal, for programs that take that axis for the normal.
     #[arg(long)]
@@ -50,10 +50,10 @@ pub(super) struct ExportArgs {
 pub(super) fn run(args: &ExportArgs) -> CommandResult {
     let (kind, shown) = (kind(&args.out)?, args.shown()?);
     let mut model = input::read_model(&args.model)?;
-    if !model.has_materials() && shown != Shown::Radiance {
+    if !model.has_materials() && shown != ExportedColour::Radiance {
         return Err(format!("{}: has no materials, only `--layer radiance`", args.model.display()).into());
     }
-    if shown == Shown::Relit {
+    if shown == ExportedColour::Relit {
         model = args.relit(model)?;
     }
     let bytes = if args.mesh { args.encode_mesh(kind, model)? } else { args.encode(kind, shown, &model)? };
@@ -63,11 +63,11 @@ pub(super) fn run(args: &ExportArgs) -> CommandResult {
 }
 
 impl ExportArgs {
-    fn shown(&self) -> Result<Shown, String> {
+    fn shown(&self) -> Result<ExportedColour, String> {
         match (self.layer, &self.env) {
             (Some(shown), None) => Ok(shown),
-            (Some(Shown::Relit) | None, Some(_)) => Ok(Shown::Relit),
-            (None, None) => Ok(Shown::Radiance),
+            (Some(ExportedColour::Relit) | None, Some(_)) => Ok(ExportedColour::Relit),
+            (None, None) => Ok(ExportedColour::Radiance),
             (Some(_), Some(_)) => Err("--env: only `--layer relit` has a light".to_owned()),
         }
     }
@@ -92,7 +92,7 @@ impl ExportArgs {
         Ok(encode_mesh_file(model, self.mesh_cells as usize)?)
     }
 
-    fn encode(&self, kind: SplatFile, shown: Shown, model: &Model) -> CommandResult<Vec<u8>> {
+    fn encode(&self, kind: SplatFile, shown: ExportedColour, model: &Model) -> CommandResult<Vec<u8>> {
         let is_stated = self.layer.is_some() || self.env.is_some();
         Ok(encode_splat_file(model, kind, is_stated.then_some(shown), self.flatten)?)
     }
@@ -114,7 +114,7 @@ fn kind(path: &Path) -> Result<SplatFile, String> {
 mod tests {
     use super::*;
 
-    fn args(layer: Option<Shown>, env: Option<&str>) -> ExportArgs {
+    fn args(layer: Option<ExportedColour>, env: Option<&str>) -> ExportArgs {
         ExportArgs {
             model: PathBuf::new(),
             out: PathBuf::new(),
@@ -131,11 +131,11 @@ mod tests {
 
     #[test]
     fn light_option_selects_relit_and_conflicts_with_albedo() {
-        assert_eq!(args(None, None).shown(), Ok(Shown::Radiance));
-        assert_eq!(args(None, Some("sunset")).shown(), Ok(Shown::Relit));
-        assert_eq!(args(Some(Shown::Relit), None).shown(), Ok(Shown::Relit));
-        assert!(args(Some(Shown::Albedo), Some("sunset")).shown().is_err());
-        assert_eq!(args(Some(Shown::Albedo), None).shown(), Ok(Shown::Albedo));
+        assert_eq!(args(None, None).shown(), Ok(ExportedColour::Radiance));
+        assert_eq!(args(None, Some("sunset")).shown(), Ok(ExportedColour::Relit));
+        assert_eq!(args(Some(ExportedColour::Relit), None).shown(), Ok(ExportedColour::Relit));
+        assert!(args(Some(ExportedColour::Albedo), Some("sunset")).shown().is_err());
+        assert_eq!(args(Some(ExportedColour::Albedo), None).shown(), Ok(ExportedColour::Albedo));
     }
 
     #[test]

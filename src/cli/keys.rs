@@ -24,16 +24,16 @@ enum KeysCommand {
     /// Make a key and print it: this is the only time that it is shown.
     Create(CreateArgs),
     /// List keys, revoked and expired ones too.
-    List(Place),
+    List(KeyStoreArgs),
     /// Refuse a key, and those that it made, from now on.
     Revoke(RevokeArgs),
     /// End all signed URLs that were made so far.
-    EndSignedUrls(Place),
+    EndSignedUrls(KeyStoreArgs),
 }
 
 /// Where the keys are.
 #[derive(Debug, Args)]
-struct Place {
+struct KeyStoreArgs {
     /// The server's data directory. Run this as the server's user: what it makes has to be the server's.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
@@ -44,7 +44,7 @@ struct Place {
 #[derive(Debug, Args)]
 struct CreateArgs {
     #[command(flatten)]
-    place: Place,
+    key_store: KeyStoreArgs,
     /// A name for people.
     #[arg(long)]
     name: String,
@@ -62,7 +62,7 @@ struct CreateArgs {
 #[derive(Debug, Args)]
 struct RevokeArgs {
     #[command(flatten)]
-    place: Place,
+    key_store: KeyStoreArgs,
     /// Its identifier, as `relume keys list` shows it.
     id: String,
 }
@@ -72,12 +72,12 @@ pub(super) fn run(args: KeysArgs) -> CommandResult {
     runtime.block_on(async {
         match args.command {
             KeysCommand::Create(args) => create(args).await,
-            KeysCommand::List(place) => list(&existing(&place).await?).await,
+            KeysCommand::List(key_store) => list(&existing(&key_store).await?).await,
             KeysCommand::Revoke(args) => {
-                let store = existing(&args.place).await?;
+                let store = existing(&args.key_store).await?;
                 revoke(&store, &args.id.into()).await
             }
-            KeysCommand::EndSignedUrls(place) => Ok(rotate_signing_secret(&place.data_dir)?),
+            KeysCommand::EndSignedUrls(key_store) => Ok(rotate_signing_secret(&key_store.data_dir)?),
         }
     })
 }
@@ -92,8 +92,8 @@ async fn create(args: CreateArgs) -> CommandResult {
     let now_ms = SystemClock.now_ms();
     let expires_ms = expires_in.map(|seconds| now_ms.saturating_add_unsigned(seconds * 1000));
     let record = NewKeyRecord { name: key.name, tenant, scopes: key.scopes, expires_ms, made_by: None };
-    let data_dir = std::path::absolute(&args.place.data_dir)?;
-    let url = args.place.database.database_url.as_ref();
+    let data_dir = std::path::absolute(&args.key_store.data_dir)?;
+    let url = args.key_store.database.database_url.as_ref();
     let store = open(&data_dir, url).await.map_err(|error| format!("{}: {error}", data_dir.display()))?;
     let (made, secret) = store.create_key(&record, now_ms).await?;
     store.close().await;
@@ -151,8 +151,8 @@ async fn revoke(store: &Store, id: &KeyId) -> CommandResult {
 }
 
 /// The store of a data directory or a database that is there.
-async fn existing(place: &Place) -> CommandResult<Store> {
-    let (data_dir, url) = (&place.data_dir, place.database.database_url.as_ref());
+async fn existing(key_store: &KeyStoreArgs) -> CommandResult<Store> {
+    let (data_dir, url) = (&key_store.data_dir, key_store.database.database_url.as_ref());
     let database = data_dir.join("relume.db");
     match url.map_or_else(|| database.try_exists(), |_| Ok(true)) {
         Ok(true) => {}

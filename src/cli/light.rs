@@ -46,20 +46,20 @@ mod tests {
     use relume_capture::{SyntheticOptions, synthetic};
     use relume_spec::training::{Preset, TrainOverrides};
 
-    fn lit_by(overrides: &str) -> Result<Option<EnvMap>, String> {
+    fn measured_light(overrides: &str) -> Result<Option<EnvMap>, String> {
         let overrides: TrainOverrides = serde_json::from_str(overrides).unwrap();
         let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
         let options =
             SyntheticOptions { size: 4, train_views: 3, test_views: 0, paths: 4, ..Default::default() };
         let mut capture = synthetic(&options).unwrap();
-        illuminate(&mut capture, &config).map(|()| capture.lit_by)
+        illuminate(&mut capture, &config).map(|()| capture.measured_light)
     }
 
     #[test]
     fn capture_light_is_the_one_named_in_the_settings() {
-        assert_eq!(lit_by(r#"{"light": {"environment": "studio"}}"#), Ok(builtin("studio")));
-        assert_eq!(lit_by("{}"), Ok(None));
-        let missing = lit_by(r#"{"light": {"environment": "no/such.hdr"}}"#).unwrap_err();
+        assert_eq!(measured_light(r#"{"light": {"environment": "studio"}}"#), Ok(builtin("studio")));
+        assert_eq!(measured_light("{}"), Ok(None));
+        let missing = measured_light(r#"{"light": {"environment": "no/such.hdr"}}"#).unwrap_err();
         assert!(missing.starts_with("no/such.hdr: "), "{missing}");
     }
 }

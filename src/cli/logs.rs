@@ -18,7 +18,7 @@ type AnyLayer = Box<dyn Layer<Registry> + Send + Sync>;
 #[derive(Default)]
 pub(super) struct Traces {
     #[cfg(feature = "otlp")]
-    sender: Option<traces::Sender>,
+    sender: Option<traces::SpanSender>,
 }
 
 impl Traces {

@@ -24,7 +24,7 @@ pub(super) enum ProgressKind {
 
 /// What one step came to.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Step {
+pub(super) struct StepProgress {
     /// Steps done.
     pub step: u32,
     /// Steps in all.
@@ -40,7 +40,7 @@ pub(super) struct Step {
 }
 
 /// The progress of one training.
-pub(super) struct Progress {
+pub(super) struct ProgressReporter {
     kind: ProgressKind,
     bar: ProgressBar,
     /// The first step that was shown, and when.
@@ -48,7 +48,7 @@ pub(super) struct Progress {
     printed: Option<Instant>,
 }
 
-impl Progress {
+impl ProgressReporter {
     /// Says nothing yet.
     pub(super) fn new(kind: ProgressKind) -> CommandResult<Self> {
         let bar = if kind == ProgressKind::Human { ProgressBar::new(0) } else { ProgressBar::hidden() };
@@ -58,7 +58,7 @@ impl Progress {
     }
 
     /// A step was done.
-    pub(super) fn step(&mut self, step: &Step) {
+    pub(super) fn step(&mut self, step: &StepProgress) {
         if self.kind == ProgressKind::Human {
             return self.step_for_people(step);
         }
@@ -88,7 +88,7 @@ impl Progress {
         }
     }
 
-    fn step_for_people(&self, step: &Step) {
+    fn step_for_people(&self, step: &StepProgress) {
         let bar = &self.bar;
         // Without a terminal there is no bar: twenty lines go to the log instead.
         if bar.is_hidden() && step.step.is_multiple_of((step.total / 20).max(1)) {
@@ -152,7 +152,7 @@ impl Progress {
 }
 
 /// The line of a step; what is not a number is `null`.
-fn step_line(step: &Step, eta: Option<f64>) -> Value {
+fn step_line(step: &StepProgress, eta: Option<f64>) -> Value {
     let rounded = |value: f64, parts: f64| (value * parts).round() / parts;
     json!({
         "event": "step",
@@ -165,7 +165,7 @@ fn step_line(step: &Step, eta: Option<f64>) -> Value {
     })
 }
 
-fn summary(step: &Step) -> String {
+fn summary(step: &StepProgress) -> String {
     format!("loss {:.4}  PSNR {:.2} dB  {} Gaussians", step.loss, step.psnr, step.gaussians)
 }
 
@@ -185,8 +185,14 @@ mod tests {
 
     #[test]
     fn json_step_has_null_for_numbers_that_are_not_finite() {
-        let step =
-            Step { step: 3, total: 9, loss: 0.123_456_78, psnr: f64::NAN, gaussians: 64, eta_seconds: None };
+        let step = StepProgress {
+            step: 3,
+            total: 9,
+            loss: 0.123_456_78,
+            psnr: f64::NAN,
+            gaussians: 64,
+            eta_seconds: None,
+        };
         let line = json!({ "event": "step", "step": 3, "total": 9, "loss": 0.123_457, "psnr": null,
             "gaussians": 64, "eta_seconds": 1.5 });
         assert_eq!(step_line(&step, Some(1.52)), line);

@@ -18,19 +18,19 @@ const FILTER: &str = "RELUME_TRACE_FILTER";
 /// What is sent where that says nothing.
 const DEFAULT_FILTER: &str = "relume=info";
 /// How long the end of the process waits for the collector.
-const PATIENCE: Duration = Duration::from_secs(3);
+const FLUSH_TIMEOUT: Duration = Duration::from_secs(3);
 const SERVICE_NAME: Key = Key::from_static_str("service.name");
 
 /// Sends what the layer takes.
-pub(super) struct Sender {
+pub(super) struct SpanSender {
     provider: SdkTracerProvider,
     is_away: Arc<AtomicBool>,
 }
 
-impl Sender {
+impl SpanSender {
     /// Sends what waits, as long as that takes no more than a few seconds.
     pub(super) fn finish(self) {
-        let sent = self.provider.shutdown_with_timeout(PATIENCE);
+        let sent = self.provider.shutdown_with_timeout(FLUSH_TIMEOUT);
         // One warning is enough.
         if let (Err(error), false) = (sent, self.is_away.load(Ordering::Relaxed)) {
             tracing::warn!(%error, "the last spans were not sent");
@@ -42,7 +42,7 @@ impl Sender {
 ///
 /// # Errors
 /// What is wrong with the variables.
-pub(super) fn start() -> Result<(Box<dyn Layer<Registry> + Send + Sync>, Sender), String> {
+pub(super) fn start() -> Result<(Box<dyn Layer<Registry> + Send + Sync>, SpanSender), String> {
     // For a collector at `https://`. Another provider of the process is as good.
     tokio_rustls::rustls::crypto::ring::default_provider().install_default().ok();
     let directives = std::env::var(FILTER).unwrap_or_else(|_| DEFAULT_FILTER.to_owned());
@@ -61,7 +61,7 @@ pub(super) fn start() -> Result<(Box<dyn Layer<Registry> + Send + Sync>, Sender)
         .with_location(false)
         .with_threads(false)
         .with_filter(filter);
-    Ok((layer.boxed(), Sender { provider, is_away }))
+    Ok((layer.boxed(), SpanSender { provider, is_away }))
 }
 
 /// Who sends, with the name that the variables give.

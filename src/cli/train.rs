@@ -9,8 +9,8 @@ use crate::cli::capture::{PoseArgs, posed};
 use crate::cli::error::{CommandResult, EXIT_CODES, STOPPED};
 use crate::cli::light::{named_light, read_rotations};
 use crate::cli::output;
-use crate::cli::progress::{Progress, ProgressKind, Step};
-use crate::cli::stop::Stop;
+use crate::cli::progress::{ProgressKind, ProgressReporter, StepProgress};
+use crate::cli::stop::StopSignal;
 use relume_capture::formats::model_file;
 use relume_capture::{Capture, ImportLimits};
 use relume_engine::Device;
@@ -19,7 +19,7 @@ use relume_spec::training::GreyCard;
 use relume_spec::training::{
     Crop, KnownLight, LightExposure, Method, Preset, TrainConfig, TrainOverrides, WhiteBalance,
 };
-use relume_train::{MemoryNeed, PhotographSizes, Room, Trainer, import_for_training};
+use relume_train::{MemoryBudget, MemoryEstimate, PhotographSizes, Trainer, import_for_training};
 
 /// Options of `relume train`.
 #[derive(Debug, clap::Args)]
@@ -91,7 +91,7 @@ pub(super) struct TrainArgs {
 }
 
 pub(super) fn run(args: &TrainArgs) -> CommandResult<ExitCode> {
-    let mut progress = Progress::new(args.progress)?;
+    let mut progress = ProgressReporter::new(args.progress)?;
     let outcome = run_with(args, &mut progress);
     if let Err(error) = &outcome {
         progress.fail(&error.to_string());
@@ -99,15 +99,15 @@ pub(super) fn run(args: &TrainArgs) -> CommandResult<ExitCode> {
     outcome
 }
 
-fn run_with(args: &TrainArgs, progress: &mut Progress) -> CommandResult<ExitCode> {
+fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<ExitCode> {
     let config = TrainConfig::new(args.preset, &all_overrides(args)?)?;
-    let kept = args.checkpoint.as_deref().map(|file| Kept::new(file, &config)).transpose()?;
+    let kept = args.checkpoint.as_deref().map(|file| CheckpointFile::new(file, &config)).transpose()?;
     let light = config.light.as_ref().map(|light| named_light(&light.environment, "")).transpose()?;
     let path = posed(&args.capture, &args.poses)?;
     let device = Device::open(args.device)?;
     progress.status(&format!("device: {}", device.name()));
-    let room = Room::beside(&device);
-    let mut capture = import_for_training(&path, &config, &ImportLimits::default(), room)?;
+    let budget = MemoryBudget::beside(&device);
+    let mut capture = import_for_training(&path, &config, &ImportLimits::default(), budget)?;
     if let (Some(known), Some(map)) = (&config.light, light) {
         relume_train::illuminate(known, &mut capture, map);
     }
@@ -116,8 +116,8 @@ fn run_with(args: &TrainArgs, progress: &mut Progress) -> CommandResult<ExitCode
     }
     let (trained, held_out) = (capture.train.len(), capture.test.len());
     progress.status(&format!("{}: {trained} images to train on, {held_out} held out", capture.layout));
-    let need = MemoryNeed::of(&PhotographSizes::of(&capture), &config, room.on_device);
-    progress.status(&format!("memory: {need}{}", left(room)));
+    let need = MemoryEstimate::of(&PhotographSizes::of(&capture), &config, budget.on_device);
+    progress.status(&format!("memory: {need}{}", left(budget)));
     let mut trainer = trainer(&capture, config, &device, args.checkpoint.as_deref(), progress)?;
     // The trainer shares the pixels that it needs.
     drop(capture);
@@ -140,8 +140,8 @@ fn run_with(args: &TrainArgs, progress: &mut Progress) -> CommandResult<ExitCode
 }
 
 /// What memory is available, where that is known.
-fn left(room: Room) -> String {
-    room.available.map_or_else(String::new, |bytes| format!(", {:.2} GB are available", bytes as f64 / 1e9))
+fn left(budget: MemoryBudget) -> String {
+    budget.available.map_or_else(String::new, |bytes| format!(", {:.2} GB are available", bytes as f64 / 1e9))
 }
 
 /// How much of the `seconds` of its steps a training waited for photographs.
@@ -193,16 +193,16 @@ fn exposure(text: &str) -> Result<LightExposure, String> {
 }
 
 /// Where and when the state of a training is kept.
-struct Kept<'a> {
+struct CheckpointFile<'a> {
     file: &'a Path,
     /// Steps between two writes.
     every: u32,
-    stop: Stop,
+    stop: StopSignal,
 }
 
-impl<'a> Kept<'a> {
+impl<'a> CheckpointFile<'a> {
     fn new(file: &'a Path, config: &TrainConfig) -> CommandResult<Self> {
-        Ok(Self { file, every: config.checkpoint_every.max(1), stop: Stop::listen()? })
+        Ok(Self { file, every: config.checkpoint_every.max(1), stop: StopSignal::listen()? })
     }
 }
 
@@ -212,7 +212,7 @@ fn trainer(
     config: TrainConfig,
     device: &Device,
     checkpoint: Option<&Path>,
-    progress: &Progress,
+    progress: &ProgressReporter,
 ) -> CommandResult<Trainer> {
     let Some(file) = checkpoint.filter(|file| file.exists()) else {
         return Ok(Trainer::new(capture, config, device)?);
@@ -225,7 +225,11 @@ fn trainer(
 }
 
 /// Trains to the end, or until a stop is asked for: `false` then, with the checkpoint written.
-fn train(trainer: &mut Trainer, kept: Option<&Kept<'_>>, progress: &mut Progress) -> CommandResult<bool> {
+fn train(
+    trainer: &mut Trainer,
+    kept: Option<&CheckpointFile<'_>>,
+    progress: &mut ProgressReporter,
+) -> CommandResult<bool> {
     if let Some(kept) = kept {
         kept.stop.wait();
     }
@@ -237,9 +241,9 @@ fn train(trainer: &mut Trainer, kept: Option<&Kept<'_>>, progress: &mut Progress
         let (step, total) = (trainer.progress().step, trainer.progress().total);
         let (loss, psnr) = (f64::from(report.loss), f64::from(report.psnr));
         let gaussians = report.gaussians;
-        progress.step(&Step { step, total, loss, psnr, gaussians, eta_seconds: None });
-        let Some(Kept { file, every, stop }) = kept else { continue };
-        let stops = stop.is_asked() && !trainer.is_done();
+        progress.step(&StepProgress { step, total, loss, psnr, gaussians, eta_seconds: None });
+        let Some(CheckpointFile { file, every, stop }) = kept else { continue };
+        let stops = stop.is_requested() && !trainer.is_done();
         if stops || step.is_multiple_of(*every) {
             output::write_named(file, &trainer.checkpoint()?)?;
         }

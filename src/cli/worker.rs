@@ -12,7 +12,7 @@ use crate::cli::error::{CommandResult, STOPPED};
 use crate::cli::key::key;
 use crate::cli::progress::ProgressKind;
 use crate::cli::size::size;
-use crate::cli::worker_progress::teller;
+use crate::cli::worker_progress::progress_observer;
 use crate::jobs::{Ids, RandomIds, SystemClock};
 use crate::remote_worker::{FileCache, RemoteJobs};
 use crate::worker::{self, JobOutcome, OpenedDevice, TrainingOptions};
@@ -75,7 +75,8 @@ async fn work(args: WorkerArgs) -> CommandResult<ExitCode> {
         labels: args.labels,
         version: env!("CARGO_PKG_VERSION").to_owned(),
     };
-    let source = RemoteJobs::new(client, hello, cache, Arc::new(SystemClock), teller(args.progress));
+    let source =
+        RemoteJobs::new(client, hello, cache, Arc::new(SystemClock), progress_observer(args.progress));
     let stop = CancellationToken::new();
     stop_on_signals(stop.clone())?;
     let options = TrainingOptions { once: args.once, ..TrainingOptions::default() };

@@ -2,21 +2,21 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::cli::progress::{Progress, ProgressKind, Step};
+use crate::cli::progress::{ProgressKind, ProgressReporter, StepProgress};
 use crate::remote_worker::{Observer, WorkerEvent};
 use relume_api::jobs::JobProgress;
 
 /// Tells whoever reads `kind`.
-pub(super) fn teller(kind: ProgressKind) -> Observer {
+pub(super) fn progress_observer(kind: ProgressKind) -> Observer {
     if kind == ProgressKind::Human {
         return Arc::new(log);
     }
     // Made anew for each job.
-    let progress: Mutex<Option<Progress>> = Mutex::default();
+    let progress: Mutex<Option<ProgressReporter>> = Mutex::default();
     Arc::new(move |told| {
         let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
         if matches!(told, WorkerEvent::Claimed(_)) || progress.is_none() {
-            *progress = Progress::new(kind).ok();
+            *progress = ProgressReporter::new(kind).ok();
         }
         if let Some(progress) = progress.as_mut() {
             say(progress, told);
@@ -38,7 +38,7 @@ fn log(told: WorkerEvent<'_>) {
     }
 }
 
-fn say(progress: &mut Progress, told: WorkerEvent<'_>) {
+fn say(progress: &mut ProgressReporter, told: WorkerEvent<'_>) {
     match told {
         WorkerEvent::Claimed(task) => progress.status(&format!("job {}, attempt {}", task.job, task.attempt)),
         WorkerEvent::Progress(report) => match step(report) {
@@ -54,8 +54,8 @@ fn say(progress: &mut Progress, told: WorkerEvent<'_>) {
 }
 
 /// A report of a step, if it is one.
-fn step(report: &JobProgress) -> Option<Step> {
-    Some(Step {
+fn step(report: &JobProgress) -> Option<StepProgress> {
+    Some(StepProgress {
         step: u32::try_from(report.step).ok()?,
         total: u32::try_from(report.total).ok()?,
         loss: report.loss?,

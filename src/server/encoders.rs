@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 use crate::server::memory::MemoryPermit;
 use crate::server::problem::Problem;
 use relume_spec::rendering::{FrameFormat, Output};
-use relume_train::render::{EncodedFrame, Finish, Frame, encode_wanted_frame};
+use relume_train::render::{EncodeOptions, EncodedFrame, Frame, encode_wanted_frame};
 
 /// Most values of a frame that is encoded at once, whatever else is: 512 x 512 pixels of colour and alpha.
 const AT_ONCE: u64 = 1 << 20;
@@ -33,7 +33,7 @@ impl Encoders {
         frame: Frame,
         outputs: Vec<Output>,
         format: FrameFormat,
-        finish: Finish,
+        encoding: EncodeOptions,
         memory: MemoryPermit,
     ) -> Result<EncodedFrame, Problem> {
         let permit = match values(&frame, &outputs) > AT_ONCE {
@@ -47,7 +47,7 @@ impl Encoders {
             let _span = span.entered();
             // Both are held until the work has ended, not only while somebody waits for it.
             let _held = (memory, permit);
-            encode_wanted_frame(&frame, &outputs, format, &finish, &|| !gone.is_cancelled())
+            encode_wanted_frame(&frame, &outputs, format, &encoding, &|| !gone.is_cancelled())
         };
         tokio::task::spawn_blocking(work).await.map_err(Problem::internal)?.map_err(Problem::internal)
     }
@@ -73,7 +73,9 @@ mod tests {
 
     async fn encode(encoders: &Encoders, side: u32) -> Result<EncodedFrame, Problem> {
         let memory = MemoryBudget::new(1 << 30).reserve(1).await.unwrap();
-        encoders.encode(frame(side), vec![Output::Rgb], FrameFormat::Exr, Finish::default(), memory).await
+        encoders
+            .encode(frame(side), vec![Output::Rgb], FrameFormat::Exr, EncodeOptions::default(), memory)
+            .await
     }
 
     #[tokio::test]

@@ -8,7 +8,7 @@ pub(super) fn memory() -> u64 {
     let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
     let system = System::new_with_specifics(memory);
     let container = system.cgroup_limits().map(|limits| limits.total_memory);
-    [container, relume_train::own_group_limit()].into_iter().flatten().fold(system.total_memory(), u64::min)
+    [container, relume_train::cgroup_limit()].into_iter().flatten().fold(system.total_memory(), u64::min)
 }
 
 #[cfg(test)]

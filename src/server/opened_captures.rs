@@ -9,7 +9,7 @@ use lru::LruCache;
 use crate::server::keyed_locks::KeyedLocks;
 use crate::server::memory::MemoryPermit;
 use crate::server::problem::Problem;
-use relume_capture::Photographs;
+use relume_capture::CapturePhotos;
 
 /// Captures that are open at once.
 const MAX_OPEN_CAPTURES: NonZeroUsize = NonZeroUsize::new(4).unwrap();
@@ -18,7 +18,7 @@ const KEEP_OPEN: Duration = Duration::from_secs(30);
 
 /// A capture that is open.
 pub(super) struct Opened {
-    pub(super) photographs: Photographs,
+    pub(super) photographs: CapturePhotos,
     /// What was borrowed for it.
     pub(super) _memory: Option<MemoryPermit>,
 }

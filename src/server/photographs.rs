@@ -24,7 +24,7 @@ use crate::store::{CaptureRecord, StoreError, hex};
 use relume_api::CaptureId;
 use relume_api::photographs::{CapturePhotographs, CapturedPhotograph};
 use relume_capture::formats::image_file;
-use relume_capture::{CaptureError, Photographs, PictureOptions};
+use relume_capture::{CaptureError, CapturePhotos, PictureOptions};
 use relume_scene::ImageRgba;
 use relume_scene::srgb;
 
@@ -226,7 +226,7 @@ async fn open(app: &AppState, caller: &Caller, capture: &CaptureRecord) -> Resul
 async fn open_archive(app: &AppState, capture: &CaptureRecord) -> Result<Opened, Problem> {
     let path = app.store.artifacts().local_path(&capture.artifact);
     let limits = app.import_limits;
-    let open = move || Photographs::open(&path, &limits);
+    let open = move || CapturePhotos::open(&path, &limits);
     let photographs = app.decoders.run(open).await?.map_err(|error| unreadable(&error))?;
     let held = photographs.held_bytes();
     let memory = if held > 0 { Some(app.memory.reserve(held).await?) } else { None };

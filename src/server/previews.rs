@@ -21,7 +21,7 @@ use crate::worker::{LightSource, ModelContent, ModelSource, Preview, RenderTask}
 use relume_api::jobs::{JobState, JobView};
 use relume_api::{JobId, ModelId};
 use relume_spec::rendering::{FrameFormat, Output, Tier};
-use relume_train::render::{Finish, Orbit, Viewpoint};
+use relume_train::render::{EncodeOptions, Orbit, Viewpoint};
 
 /// After how many seconds to ask again for a picture that will come.
 const SOON: u32 = 2;
@@ -85,7 +85,7 @@ async fn preview(
     } else {
         let format = FrameFormat::Png;
         renders::respond(
-            renders::render_frame(&app, task(&id, &preview, orbit), format, Finish::default()).await?,
+            renders::render_frame(&app, task(&id, &preview, orbit), format, EncodeOptions::default()).await?,
             format,
         )
     };

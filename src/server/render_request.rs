@@ -4,7 +4,7 @@ use crate::server::problem::Problem;
 use relume_api::renders::RenderRequest;
 use relume_scene::Camera;
 use relume_spec::rendering::{FrameFormat, Output, Quality, Tier, is_colour};
-use relume_train::render::{Finish, RenderError};
+use relume_train::render::{EncodeOptions, RenderError};
 
 /// Longest side of a frame, pixels.
 const MAX_SIDE: u32 = 4096;
@@ -27,7 +27,7 @@ pub(super) fn quality(
         Tier::MonteCarlo => queries / (u64::from(size.0) * u64::from(size.1)).max(1),
         _ => u64::MAX,
     };
-    let most = most.min(u64::from(Quality::MOST_SAMPLES));
+    let most = most.min(u64::from(Quality::MAX_SAMPLES));
     if !(1..=most).contains(&u64::from(quality.samples)) {
         let detail = match most {
             0 => format!("the tier monte_carlo renders images of at most {queries} pixels"),
@@ -56,19 +56,23 @@ pub(super) fn check_outputs(outputs: &[Output], format: FrameFormat) -> Result<(
 }
 
 /// How the picture is finished; refuses what the format cannot show.
-pub(super) fn finish(request: &RenderRequest, format: FrameFormat) -> Result<Finish, Problem> {
-    let finish = Finish {
+pub(super) fn finish(request: &RenderRequest, format: FrameFormat) -> Result<EncodeOptions, Problem> {
+    let encoding = EncodeOptions {
         background: request.background,
         tone_curve: request.tone_curve,
         colour_depth: request.colour_depth,
-        ..Finish::default()
+        ..EncodeOptions::default()
     };
-    check_finish(&finish, &request.outputs, format).map(|()| finish)
+    check_finish(&encoding, &request.outputs, format).map(|()| encoding)
 }
 
 /// Refuses what the format cannot show.
-pub(super) fn check_finish(finish: &Finish, outputs: &[Output], format: FrameFormat) -> Result<(), Problem> {
-    finish.check(outputs, format).map_err(|error| match error {
+pub(super) fn check_finish(
+    encoding: &EncodeOptions,
+    outputs: &[Output],
+    format: FrameFormat,
+) -> Result<(), Problem> {
+    encoding.check(outputs, format).map_err(|error| match error {
         RenderError::Refused { field, reason } => Problem::invalid_field(format!("/{field}"), reason),
         other => Problem::internal(other),
     })

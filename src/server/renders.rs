@@ -20,7 +20,7 @@ use relume_api::ModelId;
 use relume_api::renders::RenderRequest;
 use relume_scene::Camera;
 use relume_spec::rendering::{Background, FrameFormat};
-use relume_train::render::{EncodedFrame, Finish, FrameNotes, Viewpoint};
+use relume_train::render::{EncodeOptions, EncodedFrame, FrameMetadata, Viewpoint};
 
 /// Largest body: a 2k map in base64 and the rest.
 const BODY_LIMIT: usize = 64 << 20;
@@ -61,7 +61,7 @@ async fn render(
 ) -> Result<Response, Problem> {
     let format = negotiate::frame_format(&headers)?;
     render_request::check_outputs(&request.outputs, format)?;
-    let finish = render_request::finish(&request, format)?;
+    let encoding = render_request::finish(&request, format)?;
     let camera = camera(&request)?;
     let (size, on_gpu) = ((request.width, request.height), app.device.has_gpu());
     let quality = quality(request.tier, request.samples, request.seed, size, on_gpu)?;
@@ -77,13 +77,13 @@ async fn render(
         quality,
         outputs: request.outputs,
     };
-    let finish = Finish { notes: notes(&task, Some(camera)), ..finish };
-    Ok(respond(render_frame(&app, task, format, finish).await?, format))
+    let encoding = EncodeOptions { frame_metadata: notes(&task, Some(camera)), ..encoding };
+    Ok(respond(render_frame(&app, task, format, encoding).await?, format))
 }
 
 /// What a file says of how it was made.
-pub(super) fn notes(task: &RenderTask, camera: Option<Camera>) -> FrameNotes {
-    FrameNotes {
+pub(super) fn notes(task: &RenderTask, camera: Option<Camera>) -> FrameMetadata {
+    FrameMetadata {
         model: task.model.id.to_string(),
         light: task.light.key(),
         rotation_deg: task.rotation_deg,
@@ -115,12 +115,12 @@ pub(super) async fn render_in_background(
     app: &AppState,
     task: RenderTask,
     format: FrameFormat,
-    finish: Finish,
+    encoding: EncodeOptions,
 ) -> Result<Vec<u8>, Problem> {
     let memory = app.memory.reserve(frame_bytes(task.pixels(), &task.outputs)).await?;
     let outputs = task.outputs.clone();
     let rendered = app.device.render_in_background(task).await?;
-    Ok(app.encoders.encode(rendered.answer, outputs, format, finish, memory).await?.bytes)
+    Ok(app.encoders.encode(rendered.answer, outputs, format, encoding, memory).await?.bytes)
 }
 
 /// Renders on the thread of frames and encodes off it.
@@ -128,7 +128,7 @@ pub(super) async fn render_frame(
     app: &AppState,
     task: RenderTask,
     format: FrameFormat,
-    finish: Finish,
+    encoding: EncodeOptions,
 ) -> Result<TimedFrame, Problem> {
     // Held from before the queue to the encoded file.
     let memory = app.memory.reserve(frame_bytes(task.pixels(), &task.outputs)).await?;
@@ -141,7 +141,7 @@ pub(super) async fn render_frame(
         rendered.steps_waited,
         ms(rendered.took)
     );
-    let encoded = app.encoders.encode(rendered.answer, outputs, format, finish, memory).await?;
+    let encoded = app.encoders.encode(rendered.answer, outputs, format, encoding, memory).await?;
     Ok(TimedFrame { encoded, timing })
 }
 

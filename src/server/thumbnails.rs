@@ -21,7 +21,7 @@ use crate::store::hex;
 use crate::worker::{LightSource, RenderTask};
 use relume_api::{ModelId, TenantId};
 use relume_spec::rendering::{Background, FrameFormat, Output, Tier, ToneCurve};
-use relume_train::render::{Finish, Orbit, Viewpoint};
+use relume_train::render::{EncodeOptions, Orbit, Viewpoint};
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
@@ -89,8 +89,8 @@ async fn thumbnail(
     let (model, model_hash) = models::source(&app, &caller.tenant, &id).await?;
     let light =
         named_light(&app, &caller.tenant, query.env.as_deref().unwrap_or("recovered"), "query/env").await?;
-    let finish = finish(&query)?;
-    let digest = identity(&model_hash, &light, &orbit, tier, format, &finish);
+    let encoding = finish(&query)?;
+    let digest = identity(&model_hash, &light, &orbit, tier, format, &encoding);
     let tag = etag(&digest);
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
@@ -104,12 +104,12 @@ async fn thumbnail(
             rotation_deg: 0.0,
             exposure_ev: 0.0,
             viewpoint,
-            shows_environment: finish.background == Background::Environment,
+            shows_environment: encoding.background == Background::Environment,
             quality: tier.into(),
             outputs,
         };
         let picture = ThumbnailRequest { tenant: &caller.tenant, digest: &digest, format };
-        found_or_rendered(&app, task, finish, &picture).await?
+        found_or_rendered(&app, task, encoding, &picture).await?
     };
     let out = response.headers_mut();
     out.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
@@ -129,7 +129,7 @@ struct ThumbnailRequest<'a> {
 async fn found_or_rendered(
     app: &AppState,
     task: RenderTask,
-    finish: Finish,
+    encoding: EncodeOptions,
     &ThumbnailRequest { tenant, digest, format }: &ThumbnailRequest<'_>,
 ) -> Result<Response, Problem> {
     let model = task.model.id.clone();
@@ -138,7 +138,7 @@ async fn found_or_rendered(
     if let Some(bytes) = app.thumbnails.get(model.as_str(), digest).await {
         return Ok(([(header::CONTENT_TYPE, format.media_type())], bytes).into_response());
     }
-    let frame = renders::render_frame(app, task, format, finish).await?;
+    let frame = renders::render_frame(app, task, format, encoding).await?;
     // What is needed for work comes before what spares some.
     if !app.store.disk_space().is_short() {
         app.thumbnails.put(model.as_str(), digest, frame.bytes().to_vec()).await;
@@ -179,12 +179,16 @@ fn format(query: &ThumbnailQuery) -> Result<FrameFormat, Problem> {
     }
 }
 
-fn finish(query: &ThumbnailQuery) -> Result<Finish, Problem> {
+fn finish(query: &ThumbnailQuery) -> Result<EncodeOptions, Problem> {
     let tone_curve = query.tone_curve.unwrap_or_default();
     if tone_curve == ToneCurve::Linear {
         return Err(Problem::invalid_field("query/tone_curve", "must be srgb, neutral or agx"));
     }
-    Ok(Finish { background: query.background.unwrap_or_default(), tone_curve, ..Finish::default() })
+    Ok(EncodeOptions {
+        background: query.background.unwrap_or_default(),
+        tone_curve,
+        ..EncodeOptions::default()
+    })
 }
 
 /// A hash of everything the picture depends on, the program's version included.
@@ -194,10 +198,10 @@ fn identity(
     orbit: &Orbit,
     tier: Tier,
     format: FrameFormat,
-    finish: &Finish,
+    encoding: &EncodeOptions,
 ) -> String {
     let (light, version) = (light.key(), env!("CARGO_PKG_VERSION"));
-    let Finish { background, tone_curve, .. } = finish;
+    let EncodeOptions { background, tone_curve, .. } = encoding;
     let text = format!("{version}|{model}|{light}|{orbit:?}|{tier:?}|{format:?}|{background}|{tone_curve:?}");
     hex(&Sha256::digest(text.as_bytes()))
 }

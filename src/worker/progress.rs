@@ -75,7 +75,7 @@ mod tests {
 
     fn step(step: u32) -> (StepReport, Progress) {
         let report =
-            StepReport { step, known_step: step, loss: 0.5, psnr: 20.0, gaussians: 7, warning: None };
+            StepReport { step, metrics_step: step, loss: 0.5, psnr: 20.0, gaussians: 7, warning: None };
         (report, Progress { step, total: 100 })
     }
 

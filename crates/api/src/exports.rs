@@ -12,8 +12,8 @@ use crate::models::FileView;
 use crate::renders::EnvironmentSpec;
 use crate::{ExportId, ModelId};
 use relume_spec::rendering::{
-    AlphaMode, Background, ColourDepth, FrameFormat, MOST_BAKED_DEGREE, Output, Primaries, Shown, Tier,
-    ToneCurve,
+    AlphaMode, Background, ColourDepth, ExportedColour, FrameFormat, MAX_BAKED_DEGREE, Output, Primaries,
+    Tier, ToneCurve,
 };
 
 /// An export to create. `kind` selects one of the three forms.
@@ -243,7 +243,7 @@ pub struct SplatsExport {
     /// without `layer` and `environment` also contains the materials.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(value_type = Option<String>, pattern = "^(radiance|relit|albedo|normal|roughness|metallic)$")]
-    pub layer: Option<Shown>,
+    pub layer: Option<ExportedColour>,
     /// Light of the layer `relit`; not allowed with other layers. Omitted: the light of the capture.
     /// `inline_base64` is not accepted.
     #[serde(skip_serializing_if = "Option::is_none", default)]
@@ -363,7 +363,7 @@ fn full_turn() -> f64 {
 }
 
 fn most_degree() -> u32 {
-    MOST_BAKED_DEGREE as u32
+    MAX_BAKED_DEGREE as u32
 }
 
 fn cells() -> u32 {

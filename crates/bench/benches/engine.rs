@@ -11,7 +11,7 @@ use divan::{Bencher, black_box};
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use relume_capture::{Capture, CaptureView, GroundTruthView, Scene3dBounds};
+use relume_capture::{Capture, CaptureView, GroundTruthView, SceneBounds};
 use relume_engine::Device;
 use relume_engine::cpu::{AttributeSource, BranchImages, Pass, Probes, SurfaceShader};
 use relume_layout::channel::Channels;
@@ -99,7 +99,7 @@ fn tables() -> &'static LightTables {
 }
 
 fn shader() -> SurfaceShader<'static> {
-    SurfaceShader { tables: tables(), options: &model().shading, order: 4 }
+    SurfaceShader { tables: tables(), options: &model().shading, sh_degree: 4 }
 }
 
 fn full_pass() -> &'static Pass {
@@ -170,10 +170,10 @@ fn capture(side: u32) -> Capture {
             .chunks_exact(3)
             .map(|p| (DVec3::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2])), [0.5; 3]))
             .collect(),
-        bounds: Scene3dBounds { centre: DVec3::ZERO, radius: 1.0 },
+        bounds: SceneBounds { centre: DVec3::ZERO, radius: 1.0 },
         has_alpha: true,
         lights: Default::default(),
-        lit_by: None,
+        measured_light: None,
         grey_card: None,
         warnings: Vec::new(),
     }

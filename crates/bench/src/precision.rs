@@ -14,7 +14,7 @@ use relume_engine::gpu::objective::{ImageTerm, LOSS_SLOTS, LossSlot};
 use relume_engine::gpu::{CameraUniform, Gpu, photo_pixel};
 use relume_engine::{DeviceChoice, DeviceError, ImageWeights, RasterCamera};
 use relume_reference::parity::{
-    LightShape, ParityCase, ParityResult, by_cpu, by_gpu, by_reference, steady_pixels,
+    LightShape, ParityCase, ParityResult, cpu_result, gpu_result, reference_result, stable_pixels,
 };
 use relume_reference::{Array, Tape, losses};
 use relume_scene::light::TableResolution;
@@ -23,7 +23,7 @@ use relume_scene::{Camera, Field, Gaussians, Model, ShadingOptions};
 const SIZE: (u32, u32) = (24, 16);
 const GAUSSIANS: usize = 24;
 const ENVIRONMENT: (usize, usize) = (16, 8);
-const ORDER: usize = 2;
+const SH_DEGREE: usize = 2;
 /// Pixels with a splat this close (relative) to a threshold of alpha are left out: an f32 engine may decide the threshold
 /// otherwise without an error in its digits.
 const MARGIN: f64 = 2e-3;
@@ -49,7 +49,7 @@ pub(super) struct PrecisionArgs {
 
 /// Kinds of scenes, by what makes them hard in f32.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Kind {
+enum SceneKind {
     /// Soft Gaussians about the origin.
     Ordinary,
     /// A thousand times as long as thick, larger than the image.
@@ -60,11 +60,11 @@ enum Kind {
     NearOpaque,
 }
 
-const KINDS: [(Kind, &str); 4] = [
-    (Kind::Ordinary, "ordinary"),
-    (Kind::Needles, "needles 1000 : 1"),
-    (Kind::FarCamera, "camera 1e5 away"),
-    (Kind::NearOpaque, "nearly opaque"),
+const KINDS: [(SceneKind, &str); 4] = [
+    (SceneKind::Ordinary, "ordinary"),
+    (SceneKind::Needles, "needles 1000 : 1"),
+    (SceneKind::FarCamera, "camera 1e5 away"),
+    (SceneKind::NearOpaque, "nearly opaque"),
 ];
 
 const STAGES: [&str; 9] = [
@@ -82,7 +82,7 @@ const STAGES: [&str; 9] = [
 pub(super) fn run(args: &PrecisionArgs) -> Result<(), BoxError> {
     let device = Device::open(args.device)?;
     let resolution = TableResolution::TRAINING;
-    let light = LightShape::new(ENVIRONMENT.0, ENVIRONMENT.1, ORDER, resolution);
+    let light = LightShape::new(ENVIRONMENT.0, ENVIRONMENT.1, SH_DEGREE, resolution);
     let mut columns = Vec::new();
     for (kind, name) in KINDS {
         eprintln!("{name}");
@@ -122,14 +122,14 @@ fn report(args: &PrecisionArgs, device: &Device, columns: &[[f64; STAGES.len()]]
 }
 
 /// A model of this kind and a camera that sees it.
-fn scene(kind: Kind, seed: u64) -> Result<(Model, Camera), BoxError> {
+fn scene(kind: SceneKind, seed: u64) -> Result<(Model, Camera), BoxError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut gaussians = Gaussians::zeroed(GAUSSIANS, 4, ORDER, 2);
+    let mut gaussians = Gaussians::zeroed(GAUSSIANS, 4, SH_DEGREE, 2);
     for (field, centre, spread) in [
         (Field::Mean, 0.0, 0.7),
         (Field::LogScale, -1.7, 0.7),
         (Field::Quaternion, 0.0, 1.0),
-        (Field::OpacityLogit, if kind == Kind::NearOpaque { 6.0 } else { 0.3 }, 1.5),
+        (Field::OpacityLogit, if kind == SceneKind::NearOpaque { 6.0 } else { 0.3 }, 1.5),
         (Field::Normal, 0.0, 0.3),
         (Field::MetalLogit, -0.5, 1.5),
         (Field::RoughLogit, 0.0, 1.5),
@@ -146,9 +146,9 @@ fn scene(kind: Kind, seed: u64) -> Result<(Model, Camera), BoxError> {
         gaussians.row_mut(Field::Visibility, i)[0] += 2.2;
         let scale = gaussians.row_mut(Field::LogScale, i);
         match kind {
-            Kind::Needles => scale.copy_from_slice(&[2.3 + scale[0], -4.6 + scale[1], -4.6 + scale[2]]),
-            Kind::NearOpaque => scale.copy_from_slice(&[1.2 + scale[0], 1.2 + scale[1], -4.0]),
-            Kind::Ordinary | Kind::FarCamera => {}
+            SceneKind::Needles => scale.copy_from_slice(&[2.3 + scale[0], -4.6 + scale[1], -4.6 + scale[2]]),
+            SceneKind::NearOpaque => scale.copy_from_slice(&[1.2 + scale[0], 1.2 + scale[1], -4.0]),
+            SceneKind::Ordinary | SceneKind::FarCamera => {}
         }
     }
     let mut triples = |count: usize, centre: f32| -> Vec<[f32; 3]> {
@@ -168,7 +168,7 @@ fn scene(kind: Kind, seed: u64) -> Result<(Model, Camera), BoxError> {
         framing: None,
         card: serde_json::Value::Null,
     };
-    let distance = if kind == Kind::FarCamera { 1e5 } else { 3.0 };
+    let distance = if kind == SceneKind::FarCamera { 1e5 } else { 3.0 };
     let (sine, cosine) = (seed as f64 * 1.3).sin_cos();
     let eye = DVec3::new(cosine, sine, 0.3).normalize() * distance;
     let camera = Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 2.0 * (1.0 / distance).atan(), SIZE)?;
@@ -179,17 +179,19 @@ fn scene(kind: Kind, seed: u64) -> Result<(Model, Camera), BoxError> {
 fn measure(
     device: &Device,
     light: &LightShape,
-    kind: Kind,
+    kind: SceneKind,
     seed: u64,
 ) -> Result<[f64; STAGES.len()], BoxError> {
     let (model, camera) = scene(kind, seed)?;
     let mut question = ParityCase::new(&model, &camera, [0.25, 0.5, 0.75], light, seed);
-    let kept = steady_pixels(&question, MARGIN);
+    let kept = stable_pixels(&question, MARGIN);
     question.keep(&kept);
-    let expected = by_reference(&question);
+    let expected = reference_result(&question);
     let (found, loss) = match device {
-        Device::Cpu => (by_cpu(&question), loss_gradient_cpu(&expected, seed)),
-        Device::Gpu(gpu) => (by_gpu(gpu, &question)?, loss_gradient_gpu(gpu, &question, &expected, seed)?),
+        Device::Cpu => (cpu_result(&question), loss_gradient_cpu(&expected, seed)),
+        Device::Gpu(gpu) => {
+            (gpu_result(gpu, &question)?, loss_gradient_gpu(gpu, &question, &expected, seed)?)
+        }
     };
     let [mean, conic] = projection_errors(&found, &expected);
     let steady = |rows: &[[f64; 3]]| -> Vec<f64> {

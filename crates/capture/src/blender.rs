@@ -3,7 +3,7 @@
 use crate::photos::{PhotoEntry, Split, check_missing, locate};
 use crate::transforms::{self, Transforms};
 use crate::truth::{AlbedoEncoding, TruthFiles, albedo_encoding};
-use crate::{CaptureError, Source};
+use crate::{CaptureError, CaptureFiles};
 
 /// The file that marks this layout.
 pub(super) const MARKER: &str = "transforms_train.json";
@@ -12,7 +12,10 @@ pub(super) const MARKER: &str = "transforms_train.json";
 ///
 /// # Errors
 /// Names the JSON file and field, or counts the images when too few are there.
-pub(super) fn read(source: &Source, warnings: &mut Vec<String>) -> Result<Vec<PhotoEntry>, CaptureError> {
+pub(super) fn read(
+    source: &CaptureFiles,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<PhotoEntry>, CaptureError> {
     let albedo = albedo_encoding(source)?;
     let mut photos = Vec::new();
     let train = transforms::read(source, MARKER)?;
@@ -29,7 +32,7 @@ pub(super) fn read(source: &Source, warnings: &mut Vec<String>) -> Result<Vec<Ph
 
 /// Adds a file's photographs; returns the paths of those that are missing.
 fn collect(
-    source: &Source,
+    source: &CaptureFiles,
     set: &Transforms,
     split: Split,
     albedo: AlbedoEncoding,

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::{CaptureView, Scene3dBounds};
+use crate::{CaptureView, SceneBounds};
 use relume_scene::{Camera, Framing};
 
 /// Radius of the subject relative to the ball that a camera sees completely.
@@ -17,7 +17,7 @@ const CORNER_MARGIN: f64 = 1.15;
 ///   reach into the image's corners. For NeRF-synthetic this gives the origin and radius 1.57.
 /// - Without points and masks: the same centre. The radius is the distance of the median camera, since the
 ///   surroundings are in the photographs too.
-pub(super) fn bounds(views: &[CaptureView], points: &[(DVec3, [f32; 3])], has_alpha: bool) -> Scene3dBounds {
+pub(super) fn bounds(views: &[CaptureView], points: &[(DVec3, [f32; 3])], has_alpha: bool) -> SceneBounds {
     let cameras: Vec<&Camera> = views.iter().map(|v| &v.camera).collect();
     if points.len() >= 16 {
         return from_points(&cameras, points);
@@ -28,12 +28,12 @@ pub(super) fn bounds(views: &[CaptureView], points: &[(DVec3, [f32; 3])], has_al
         if has_alpha { seen_radius(camera, centre).map_or(distance, |r| r * CORNER_MARGIN) } else { distance }
     };
     let radius = quantile(cameras.iter().map(radius).collect(), 0.5);
-    Scene3dBounds { centre, radius: positive(radius) }
+    SceneBounds { centre, radius: positive(radius) }
 }
 
 /// Where cameras look: the point nearest to all optical axes, and the radius of the ball around it that fills the longer side of
 /// the median camera's picture. What people walk around rarely lies in the middle of every picture, nor is it smaller than that.
-pub fn looked_at(cameras: &[&Camera]) -> (DVec3, f64) {
+pub fn focus_region(cameras: &[&Camera]) -> (DVec3, f64) {
     let centre = nearest_to_axes(cameras);
     let radius = |camera: &&Camera| {
         let half_angle = f64::max(
@@ -60,12 +60,12 @@ pub fn framing(cameras: &[&Camera]) -> Option<Framing> {
     Framing { eye: camera.centre(), target, fov_deg: 2.0 * half_angle.to_degrees() }.checked()
 }
 
-fn from_points(cameras: &[&Camera], points: &[(DVec3, [f32; 3])]) -> Scene3dBounds {
+fn from_points(cameras: &[&Camera], points: &[(DVec3, [f32; 3])]) -> SceneBounds {
     let median = |axis: usize| quantile(points.iter().map(|(p, _)| p[axis]).collect(), 0.5);
     let centre = DVec3::new(median(0), median(1), median(2));
     let reach = quantile(points.iter().map(|(p, _)| (*p - centre).length()).collect(), 0.9);
     let farthest = cameras.iter().map(|c| (c.centre() - centre).length()).fold(0.0, f64::max);
-    Scene3dBounds { centre, radius: positive(reach.min(2.0 * farthest)) }
+    SceneBounds { centre, radius: positive(reach.min(2.0 * farthest)) }
 }
 
 fn positive(radius: f64) -> f64 {

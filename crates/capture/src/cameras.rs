@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::photos::{self, PhotoEntry, Split};
 use crate::truth::TruthFiles;
-use crate::{CaptureError, ImportLimits, Source, colmap, import, transforms};
+use crate::{CaptureError, CaptureFiles, ImportLimits, colmap, import, transforms};
 use relume_scene::Camera;
 
 /// The camera of a photograph.
@@ -28,7 +28,7 @@ pub struct PhotoCamera {
 /// # Errors
 /// [`CaptureError`] names the file and field at fault.
 pub fn cameras(path: &Path, limits: &ImportLimits) -> Result<Vec<PhotoCamera>, CaptureError> {
-    let source = Source::open(path, limits)?;
+    let source = CaptureFiles::open(path, limits)?;
     let (_, photos, _) = import::read_layout(&source, &mut Vec::new())?;
     of_photos(&source, &photos)
 }
@@ -37,7 +37,10 @@ pub fn cameras(path: &Path, limits: &ImportLimits) -> Result<Vec<PhotoCamera>, C
 ///
 /// # Errors
 /// As [`cameras`].
-pub(super) fn of_photos(source: &Source, photos: &[PhotoEntry]) -> Result<Vec<PhotoCamera>, CaptureError> {
+pub(super) fn of_photos(
+    source: &CaptureFiles,
+    photos: &[PhotoEntry],
+) -> Result<Vec<PhotoCamera>, CaptureError> {
     let cameras: Vec<_> = photos.par_iter().map(|photo| photos::stored_camera(source, photo)).collect();
     let described = photos.iter().zip(import::splits(photos)).zip(cameras);
     let described = described.map(|((photo, split), camera)| {
@@ -77,7 +80,7 @@ pub fn cameras_of_transforms(
 /// # Errors
 /// [`CaptureError`] names the file and field at fault, or says that there is no model.
 pub fn cameras_of_colmap(path: &Path, limits: &ImportLimits) -> Result<Vec<PhotoCamera>, CaptureError> {
-    let source = Source::open(path, limits)?;
+    let source = CaptureFiles::open(path, limits)?;
     let reason = "has no COLMAP model (cameras and images, .bin or .txt)".to_owned();
     let files = colmap::find(&source)
         .ok_or_else(|| CaptureError::File { file: source.label().to_owned(), reason })?;

@@ -4,15 +4,15 @@ use std::path::Path;
 
 use crate::images::load_image;
 use crate::light_rotations::{NO_SUCH_PHOTO, SEVERAL_PHOTOS, is_named};
-use crate::{Capture, CaptureError, ImportLimits, ImportOptions, Source};
+use crate::{Capture, CaptureError, CaptureFiles, ImportLimits, ImportOptions};
 use relume_scene::ImageRgba;
 use relume_scene::srgb;
 use relume_spec::training::GreyCard;
 
 /// Least mean of a channel, linear: below, noise decides the colour.
-const DARKEST: f64 = 0.01;
+const MIN_CARD_VALUE: f64 = 0.01;
 /// Largest mean of a channel, linear: above, the photograph is clipped.
-const BRIGHTEST: f64 = 0.98;
+const MAX_CARD_VALUE: f64 = 0.98;
 
 fn refused(card: &GreyCard, field: &str, reason: impl Into<String>) -> CaptureError {
     CaptureError::at_field(&card.photo, field, reason)
@@ -40,12 +40,14 @@ fn colour(card: &GreyCard, photograph: &ImageRgba) -> Result<[f32; 3], CaptureEr
     }
     let mean = sum.map(|s| s / weight.max(1e-6));
     let shown = mean.map(|v| format!("{v:.3}")).join(", ");
-    if mean.iter().any(|v| *v > BRIGHTEST) {
-        let reason = format!("its mean, {shown} linear, is clipped: no channel may be above {BRIGHTEST}");
+    if mean.iter().any(|v| *v > MAX_CARD_VALUE) {
+        let reason =
+            format!("its mean, {shown} linear, is clipped: no channel may be above {MAX_CARD_VALUE}");
         return Err(refused(card, "grey_card", reason));
     }
-    if !mean.iter().all(|v| *v >= DARKEST) {
-        let reason = format!("its mean, {shown} linear, is too dark: no channel may be below {DARKEST}");
+    if !mean.iter().all(|v| *v >= MIN_CARD_VALUE) {
+        let reason =
+            format!("its mean, {shown} linear, is too dark: no channel may be below {MIN_CARD_VALUE}");
         return Err(refused(card, "grey_card", reason));
     }
     Ok(mean.map(|v| v as f32))
@@ -79,7 +81,7 @@ impl Capture {
             return Err(refused(card, "grey_card.photo", SEVERAL_PHOTOS));
         }
         let options = ImportOptions { limits: *limits, ..ImportOptions::default() };
-        let (photograph, _) = load_image(&Source::open(path, &options.limits)?, photo, &options)?;
+        let (photograph, _) = load_image(&CaptureFiles::open(path, &options.limits)?, photo, &options)?;
         self.grey_card = Some(colour(card, &photograph)?);
         Ok(())
     }

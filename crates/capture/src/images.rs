@@ -1,7 +1,7 @@
 //! Reading one image of a capture.
 
-use crate::formats::{ImageFileError, exif_facts, image_file};
-use crate::{CaptureError, ImportOptions, Source};
+use crate::formats::{ImageFileError, exif_data, image_file};
+use crate::{CaptureError, CaptureFiles, ImportOptions};
 use relume_scene::{BitDepth, ImageRgba};
 
 /// Decodes an image and reduces it as the options ask; also returns its stored size, pixels.
@@ -9,7 +9,7 @@ use relume_scene::{BitDepth, ImageRgba};
 /// # Errors
 /// [`CaptureError::OverLimit`] for too many pixels, [`CaptureError::Image`] when it cannot be decoded.
 pub(super) fn load_image(
-    source: &Source,
+    source: &CaptureFiles,
     path: &str,
     options: &ImportOptions,
 ) -> Result<(ImageRgba, (u32, u32)), CaptureError> {
@@ -33,7 +33,7 @@ pub(super) struct Loaded {
 /// # Errors
 /// As [`load_image`].
 pub(super) fn load_photo(
-    source: &Source,
+    source: &CaptureFiles,
     path: &str,
     lens_size: Option<(f64, f64)>,
     options: &ImportOptions,
@@ -52,7 +52,7 @@ pub(super) fn load_photo(
 /// # Errors
 /// [`CaptureError::Image`] when the header cannot be read.
 pub(super) fn photo_size(
-    source: &Source,
+    source: &CaptureFiles,
     path: &str,
     lens_size: Option<(f64, f64)>,
 ) -> Result<(u32, u32), CaptureError> {
@@ -85,7 +85,7 @@ fn turn(bytes: &[u8], (width, height): (u32, u32), lens_size: Option<(f64, f64)>
     if fits(width, height) || !fits(height, width) {
         return None;
     }
-    exif_facts::read(bytes).orientation.filter(|turn| (5..=8).contains(turn))
+    exif_data::read(bytes).orientation.filter(|turn| (5..=8).contains(turn))
 }
 
 /// The image as EXIF's orientation `turn`, 5 to 8, shows it.

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use crate::check::{Finding, Looks};
+use crate::check::{Finding, ImageChecks};
 use crate::formats::image_file;
 use crate::formats::ply_points::Point;
 use crate::photos::{self, PhotoEntry, Split};
 use crate::{
-    Capture, CaptureError, CaptureView, ImportOptions, Source, blender, bounds, colmap, llff, nerfstudio,
-    truth,
+    Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, blender, bounds, colmap, llff,
+    nerfstudio, truth,
 };
 use relume_spec::{CaptureReport, PhotographNote};
 
@@ -20,26 +20,26 @@ const HOLD_OUT_EVERY: usize = 8;
 /// # Errors
 /// [`CaptureError`] names the file and field at fault.
 pub fn import(path: &Path, options: &ImportOptions) -> Result<Capture, CaptureError> {
-    Undecoded::open(path, options)?.decode()
+    UndecodedCapture::open(path, options)?.decode()
 }
 
 /// A capture whose photographs were found and not decoded yet.
 #[derive(Debug)]
-pub struct Undecoded {
-    source: Source,
+pub struct UndecodedCapture {
+    source: CaptureFiles,
     options: ImportOptions,
     layout: Layout,
     warnings: Vec<String>,
     sizes: Vec<(u32, u32)>,
 }
 
-impl Undecoded {
+impl UndecodedCapture {
     /// Reads poses and the headers of all photographs.
     ///
     /// # Errors
     /// As [`import`].
     pub fn open(path: &Path, options: &ImportOptions) -> Result<Self, CaptureError> {
-        let source = Source::open(path, &options.limits)?;
+        let source = CaptureFiles::open(path, &options.limits)?;
         let mut warnings = Vec::new();
         let layout = read_layout(&source, &mut warnings)?;
         let sizes = photos::sizes(&source, &layout.1, options)?;
@@ -76,20 +76,33 @@ impl Undecoded {
     /// # Errors
     /// As [`import`].
     pub fn decode(self) -> Result<Capture, CaptureError> {
-        Ok(self.decode_looked_at(None)?.0)
+        Ok(self.decode_and_check(None)?.0)
     }
 
-    /// Decodes the photographs, and has `looks` look at each; the files they came from are returned as well.
-    fn decode_looked_at(self, looks: Option<&Looks>) -> Result<(Capture, Source), CaptureError> {
+    /// Decodes the photographs, and has `image_checks` look at each; the files they came from are returned as well.
+    fn decode_and_check(
+        self,
+        image_checks: Option<&ImageChecks>,
+    ) -> Result<(Capture, CaptureFiles), CaptureError> {
         let Self { source, options, layout: (layout, photos, points), mut warnings, .. } = self;
-        let views = photos::load(&source, &photos, &options, looks)?;
+        let views = photos::load(&source, &photos, &options, image_checks)?;
         let (train, test) = split(&photos, views);
         let has_alpha = train.iter().any(|v| !v.image.is_opaque());
         let bounds = bounds::bounds(&train, &points, has_alpha);
         let lights = truth::lights(&source, &test, &mut warnings)?;
-        let (lit_by, grey_card) = (None, None);
-        let capture =
-            Capture { layout, train, test, points, bounds, has_alpha, lights, lit_by, grey_card, warnings };
+        let (measured_light, grey_card) = (None, None);
+        let capture = Capture {
+            layout,
+            train,
+            test,
+            points,
+            bounds,
+            has_alpha,
+            lights,
+            measured_light,
+            grey_card,
+            warnings,
+        };
         Ok((capture, source))
     }
 }
@@ -100,12 +113,12 @@ impl Undecoded {
 /// # Errors
 /// As [`import`], except that the limit on all pixels together cannot be reached.
 pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, CaptureError> {
-    let looks = Looks::default();
-    let undecoded = Undecoded::open(path, &ImportOptions { max_side: Some(THUMBNAIL), ..*options })?;
-    let (capture, source) = undecoded.decode_looked_at(Some(&looks))?;
+    let image_checks = ImageChecks::default();
+    let undecoded = UndecodedCapture::open(path, &ImportOptions { max_side: Some(THUMBNAIL), ..*options })?;
+    let (capture, source) = undecoded.decode_and_check(Some(&image_checks))?;
     let mut report = capture.report();
     let noted = |finding: Finding| PhotographNote { text: finding.text, photographs: finding.photos };
-    report.notes = looks.findings().into_iter().map(noted).collect();
+    report.notes = image_checks.findings().into_iter().map(noted).collect();
     if let Some(view) = capture.train.first() {
         let stored = image_file::dimensions(&source.read(&view.name)?);
         (report.width, report.height) = stored.map_err(|e| CaptureError::image(&view.name, e))?;
@@ -119,7 +132,7 @@ const THUMBNAIL: u32 = 64;
 /// The layout's name, its photographs and its points.
 pub(super) type Layout = (String, Vec<PhotoEntry>, Vec<Point>);
 
-pub(super) fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result<Layout, CaptureError> {
+pub(super) fn read_layout(source: &CaptureFiles, warnings: &mut Vec<String>) -> Result<Layout, CaptureError> {
     if source.contains(blender::MARKER) {
         let photos = blender::read(source, warnings)?;
         let in_own_folders = photos.iter().all(|p| p.image.contains("/rgba"));
@@ -147,7 +160,7 @@ pub(super) fn read_layout(source: &Source, warnings: &mut Vec<String>) -> Result
 }
 
 /// Whether some layout is there, sound or not.
-pub(super) fn has_layout(source: &Source) -> bool {
+pub(super) fn has_layout(source: &CaptureFiles) -> bool {
     let markers = [blender::MARKER, nerfstudio::MARKER, llff::MARKER];
     markers.iter().any(|marker| source.contains(marker)) || colmap::find(source).is_some()
 }

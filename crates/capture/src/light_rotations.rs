@@ -17,7 +17,7 @@ impl Capture {
     ///
     /// # Errors
     /// [`CaptureError::Field`] with a name that fits no photograph, or several, or has a turn that is not finite.
-    pub fn turn_lights(&mut self, degrees: &BTreeMap<String, f64>) -> Result<(), CaptureError> {
+    pub fn set_light_rotations(&mut self, degrees: &BTreeMap<String, f64>) -> Result<(), CaptureError> {
         for (name, turn) in degrees {
             let refused = |reason: &str| CaptureError::at_field(TABLE, name.as_str(), reason);
             if !turn.is_finite() {
@@ -35,7 +35,7 @@ impl Capture {
     }
 
     /// True when every photograph in `degrees` has the turn that is given there.
-    pub fn has_lights_turned(&self, degrees: &BTreeMap<String, f64>) -> bool {
+    pub fn has_light_rotations(&self, degrees: &BTreeMap<String, f64>) -> bool {
         let views = self.train.iter().chain(&self.test);
         degrees.iter().all(|(name, turn)| {
             views.clone().any(|view| is_named(&view.name, name) && view.light_rotation_deg == *turn)
@@ -60,7 +60,7 @@ mod tests {
             SyntheticOptions { size: 4, train_views: 3, test_views: 1, paths: 4, ..Default::default() };
         let mut capture = synthetic(&options).unwrap();
         let turned = |capture: &mut Capture, name: &str, degrees: f64| {
-            capture.turn_lights(&[(name.to_owned(), degrees)].into())
+            capture.set_light_rotations(&[(name.to_owned(), degrees)].into())
         };
         turned(&mut capture, "train_001/rgba.png", 40.0).unwrap();
         turned(&mut capture, "test_000/rgba.png", -5.0).unwrap();

@@ -6,7 +6,7 @@ use crate::lens::{Distortion, Lens};
 use crate::photos::{PhotoEntry, Split, check_missing};
 use crate::truth::TruthFiles;
 use crate::upright::upright;
-use crate::{CaptureError, Source, masks};
+use crate::{CaptureError, CaptureFiles, masks};
 
 /// The file that marks this layout.
 pub(super) const MARKER: &str = "poses_bounds.npy";
@@ -19,7 +19,10 @@ const COLUMNS: usize = 17;
 ///
 /// # Errors
 /// Names the row at fault, or says that poses and photographs are not equally many.
-pub(super) fn read(source: &Source, warnings: &mut Vec<String>) -> Result<Vec<PhotoEntry>, CaptureError> {
+pub(super) fn read(
+    source: &CaptureFiles,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<PhotoEntry>, CaptureError> {
     let rows = rows(&source.read(MARKER)?).map_err(|reason| file_error(&reason))?;
     let images = images(source);
     if images.len() != rows.len() {
@@ -57,7 +60,7 @@ fn file_error(reason: &str) -> CaptureError {
 }
 
 /// The photographs by name.
-fn images(source: &Source) -> Vec<String> {
+fn images(source: &CaptureFiles) -> Vec<String> {
     let is_photo = |path: &&str| {
         let lower = path.to_ascii_lowercase();
         [".jpg", ".jpeg", ".png"].iter().any(|ending| lower.ends_with(ending))

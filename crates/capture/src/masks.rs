@@ -1,10 +1,10 @@
 //! Masks of single photographs that a layout does not name: files beside them.
 
-use crate::Source;
+use crate::CaptureFiles;
 
 /// The mask of the photograph at `image`, if one lies beside it: `masks/NAME.jpg.png`, `masks/NAME.png` (also `mask/`), where
 /// `NAME` is its path below the folder of photographs, or `NAME_mask.png` in its own folder. White is the subject.
-pub(super) fn beside(source: &Source, image: &str) -> Option<String> {
+pub(super) fn beside(source: &CaptureFiles, image: &str) -> Option<String> {
     let below = match image.split_once('/') {
         Some((folder, below)) if folder.starts_with("images") || folder == "input" => below,
         _ => image,

@@ -4,7 +4,7 @@ use crate::formats::ply_points::{self, Point};
 use crate::photos::{PhotoEntry, Split, check_missing, locate};
 use crate::transforms;
 use crate::truth::TruthFiles;
-use crate::{CaptureError, Source, masks};
+use crate::{CaptureError, CaptureFiles, masks};
 
 /// The file that marks this layout.
 pub(super) const MARKER: &str = "transforms.json";
@@ -14,7 +14,7 @@ pub(super) const MARKER: &str = "transforms.json";
 /// # Errors
 /// Names the field of `transforms.json`, the mask or the point cloud at fault.
 pub(super) fn read(
-    source: &Source,
+    source: &CaptureFiles,
     warnings: &mut Vec<String>,
 ) -> Result<(Vec<PhotoEntry>, Vec<Point>), CaptureError> {
     let set = transforms::read(source, MARKER)?;
@@ -42,7 +42,11 @@ pub(super) fn read(
 }
 
 /// The point cloud. A named file that is missing is a warning, since training does not need points.
-fn read_cloud(source: &Source, file: &str, warnings: &mut Vec<String>) -> Result<Vec<Point>, CaptureError> {
+fn read_cloud(
+    source: &CaptureFiles,
+    file: &str,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<Point>, CaptureError> {
     if !source.contains(file) {
         warnings.push(format!("{MARKER} names the point cloud {file}, which is missing"));
         return Ok(Vec::new());

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::cameras::{self, PhotoCamera};
 use crate::photos::{self, PhotoEntry};
-use crate::{CaptureError, ImportLimits, ImportOptions, Source, images, import};
+use crate::{CaptureError, CaptureFiles, ImportLimits, ImportOptions, images, import};
 use relume_scene::ImageRgba;
 
 /// Bytes a pixel of a decoded file, at most: floats with alpha.
@@ -14,8 +14,8 @@ const PICTURE_PIXEL: u64 = 40;
 
 /// The photographs of a capture.
 #[derive(Debug)]
-pub struct Photographs {
-    source: Source,
+pub struct CapturePhotos {
+    source: CaptureFiles,
     photos: Vec<PhotoEntry>,
 }
 
@@ -28,13 +28,13 @@ pub struct PictureOptions {
     pub undistorted: bool,
 }
 
-impl Photographs {
+impl CapturePhotos {
     /// Opens a folder, zip, tar or tar.gz with a supported layout. No photograph is decoded.
     ///
     /// # Errors
     /// [`CaptureError`] names the file and field at fault.
     pub fn open(path: &Path, limits: &ImportLimits) -> Result<Self, CaptureError> {
-        let source = Source::open(path, limits)?;
+        let source = CaptureFiles::open(path, limits)?;
         let (_, photos, _) = import::read_layout(&source, &mut Vec::new())?;
         Ok(Self { source, photos })
     }

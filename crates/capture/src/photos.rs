@@ -3,13 +3,13 @@
 use glam::DMat4;
 use rayon::prelude::*;
 
-use crate::check::Looks;
+use crate::check::ImageChecks;
 use crate::error::name_list;
 use crate::formats::image_file;
 use crate::images::{Loaded, load_image, load_photo, photo_size};
 use crate::lens::{Distortion, Intrinsics, Lens};
 use crate::truth::TruthFiles;
-use crate::{CaptureError, CaptureView, GroundTruthView, ImportOptions, Source, undistort};
+use crate::{CaptureError, CaptureFiles, CaptureView, GroundTruthView, ImportOptions, undistort};
 use relume_scene::{Camera, ImageRgba, PackedImage};
 
 /// A photograph an importer has found, before its pixels are read.
@@ -76,7 +76,7 @@ pub(super) fn check_missing(
 }
 
 /// The image a `file_path` means: the path as written, or with a file ending or light name added.
-pub(super) fn locate(source: &Source, path: &str) -> Option<String> {
+pub(super) fn locate(source: &CaptureFiles, path: &str) -> Option<String> {
     if source.contains(path) {
         return Some(path.to_owned());
     }
@@ -85,17 +85,18 @@ pub(super) fn locate(source: &Source, path: &str) -> Option<String> {
     ENDINGS.iter().map(|e| format!("{path}{e}")).find(|p| source.contains(p))
 }
 
-/// Loads the photographs in parallel, and has `looks` look at each. Their order, and which error is returned, depend on the list alone.
+/// Loads the photographs in parallel, and has `image_checks` look at each. Their order, and which error is returned, depend on the list alone.
 ///
 /// # Errors
 /// The first photograph in the list whose image, mask, pose or lens is unusable.
 pub(super) fn load(
-    source: &Source,
+    source: &CaptureFiles,
     photos: &[PhotoEntry],
     options: &ImportOptions,
-    looks: Option<&Looks>,
+    image_checks: Option<&ImageChecks>,
 ) -> Result<Vec<CaptureView>, CaptureError> {
-    let views: Vec<_> = photos.par_iter().map(|photo| load_one(source, photo, options, looks)).collect();
+    let views: Vec<_> =
+        photos.par_iter().map(|photo| load_one(source, photo, options, image_checks)).collect();
     views.into_iter().collect()
 }
 
@@ -106,7 +107,7 @@ pub(super) fn load(
 /// # Errors
 /// [`CaptureError::OverLimit`] for more pixels together than are allowed.
 pub(super) fn sizes(
-    source: &Source,
+    source: &CaptureFiles,
     photos: &[PhotoEntry],
     options: &ImportOptions,
 ) -> Result<Vec<(u32, u32)>, CaptureError> {
@@ -125,14 +126,14 @@ pub(super) fn sizes(
 }
 
 fn load_one(
-    source: &Source,
+    source: &CaptureFiles,
     photo: &PhotoEntry,
     options: &ImportOptions,
-    looks: Option<&Looks>,
+    image_checks: Option<&ImageChecks>,
 ) -> Result<CaptureView, CaptureError> {
-    let Loaded { mut image, stored, depth } = match looks {
+    let Loaded { mut image, stored, depth } = match image_checks {
         None => load_photo(source, &photo.image, photo.lens.size, options)?,
-        Some(looks) => load_looked_at(source, photo, options, looks)?,
+        Some(image_checks) => load_and_check(source, photo, options, image_checks)?,
     };
     if let Some(mask) = &photo.mask {
         apply_mask(source, mask, &mut image, options)?;
@@ -149,16 +150,16 @@ fn load_one(
 }
 
 /// [`load_photo`] by way of an image that is large enough to be looked at.
-fn load_looked_at(
-    source: &Source,
+fn load_and_check(
+    source: &CaptureFiles,
     photo: &PhotoEntry,
     options: &ImportOptions,
-    looks: &Looks,
+    image_checks: &ImageChecks,
 ) -> Result<Loaded, CaptureError> {
-    let side = options.max_side.map_or(Looks::SIDE, |side| side.max(Looks::SIDE));
+    let side = options.max_side.map_or(ImageChecks::SIDE, |side| side.max(ImageChecks::SIDE));
     let larger = ImportOptions { max_side: Some(side), ..*options };
     let loaded = load_photo(source, &photo.image, photo.lens.size, &larger)?;
-    looks.add(&photo.image, &loaded.image, loaded.stored);
+    image_checks.add(&photo.image, &loaded.image, loaded.stored);
     let (width, height) = options.reduced_size(loaded.stored);
     Ok(Loaded { image: loaded.image.resized(width, height), ..loaded })
 }
@@ -168,7 +169,7 @@ fn load_looked_at(
 /// # Errors
 /// Names the image, or the file and field of an unusable pose or lens.
 pub(super) fn picture(
-    source: &Source,
+    source: &CaptureFiles,
     photo: &PhotoEntry,
     options: &ImportOptions,
     straight: bool,
@@ -197,7 +198,7 @@ fn undistorted(
 ///
 /// # Errors
 /// Names the image, or the file and field of an unusable pose or lens.
-pub(super) fn stored_camera(source: &Source, photo: &PhotoEntry) -> Result<Camera, CaptureError> {
+pub(super) fn stored_camera(source: &CaptureFiles, photo: &PhotoEntry) -> Result<Camera, CaptureError> {
     camera_at(photo, photo_size(source, &photo.image, photo.lens.size)?)
 }
 
@@ -227,7 +228,7 @@ fn camera(photo: &PhotoEntry, intrinsics: Intrinsics, stored: (u32, u32)) -> Res
 
 /// Multiplies the image's alpha by the mask's brightness.
 fn apply_mask(
-    source: &Source,
+    source: &CaptureFiles,
     path: &str,
     image: &mut ImageRgba,
     options: &ImportOptions,

@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use crate::json::parse_json;
 use crate::lens::{Distortion, Lens};
-use crate::{CaptureError, ImportLimits, Source};
+use crate::{CaptureError, CaptureFiles, ImportLimits};
 
 /// A parsed `transforms*.json`.
 #[derive(Debug)]
@@ -84,7 +84,7 @@ struct RawTransforms {
 ///
 /// # Errors
 /// Names the file, and the field where a value is missing or unusable.
-pub(super) fn read(source: &Source, file: &str) -> Result<Transforms, CaptureError> {
+pub(super) fn read(source: &CaptureFiles, file: &str) -> Result<Transforms, CaptureError> {
     parse(file, &source.read(file)?, source.limits())
 }
 

@@ -8,7 +8,7 @@ use serde::Deserialize;
 use crate::formats::{environment, image_file};
 use crate::images::load_image;
 use crate::json::parse_json;
-use crate::{CaptureError, CaptureView, GroundTruthView, ImportOptions, Source};
+use crate::{CaptureError, CaptureFiles, CaptureView, GroundTruthView, ImportOptions};
 use relume_scene::srgb;
 use relume_scene::{EnvMap, ImageRgba, Plane};
 
@@ -44,7 +44,7 @@ pub(super) enum AlbedoEncoding {
 ///
 /// # Errors
 /// When `scene.json` exists but is not JSON.
-pub(super) fn albedo_encoding(source: &Source) -> Result<AlbedoEncoding, CaptureError> {
+pub(super) fn albedo_encoding(source: &CaptureFiles) -> Result<AlbedoEncoding, CaptureError> {
     if !source.contains("scene.json") {
         return Ok(AlbedoEncoding::Linear);
     }
@@ -55,7 +55,7 @@ pub(super) fn albedo_encoding(source: &Source) -> Result<AlbedoEncoding, Capture
 
 impl TruthFiles {
     /// Finds the layers, and the view under other lights, in the folder of `image` (like `test_003/rgba.png`).
-    pub(super) fn beside(source: &Source, image: &str, albedo: AlbedoEncoding) -> Self {
+    pub(super) fn beside(source: &CaptureFiles, image: &str, albedo: AlbedoEncoding) -> Self {
         let Some((folder, own_name)) = image.rsplit_once('/') else { return Self::default() };
         if !own_name.starts_with("rgba") {
             return Self::default();
@@ -79,7 +79,7 @@ impl TruthFiles {
     /// Names the layer's file.
     pub(super) fn load(
         &self,
-        source: &Source,
+        source: &CaptureFiles,
         size: (u32, u32),
         options: &ImportOptions,
     ) -> Result<GroundTruthView, CaptureError> {
@@ -118,7 +118,7 @@ impl TruthFiles {
     /// The stored layer `name`, when the set has it and its shape fits the view's.
     fn layer(
         &self,
-        source: &Source,
+        source: &CaptureFiles,
         name: &str,
         size: (u32, u32),
         options: &ImportOptions,
@@ -178,7 +178,7 @@ fn reduced<const C: usize>(
 /// # Errors
 /// Names the map that cannot be read or decoded.
 pub(super) fn lights(
-    source: &Source,
+    source: &CaptureFiles,
     views: &[CaptureView],
     warnings: &mut Vec<String>,
 ) -> Result<BTreeMap<String, EnvMap>, CaptureError> {
@@ -196,7 +196,7 @@ pub(super) fn lights(
     Ok(lights)
 }
 
-fn light_file(source: &Source, name: &str) -> Result<Option<(String, Vec<u8>)>, CaptureError> {
+fn light_file(source: &CaptureFiles, name: &str) -> Result<Option<(String, Vec<u8>)>, CaptureError> {
     const INSIDE: [&str; 2] = ["envmaps", "Environment_Maps"];
     for path in INSIDE.iter().flat_map(|f| [format!("{f}/{name}.hdr"), format!("{f}/{name}.exr")]) {
         if source.contains(&path) {

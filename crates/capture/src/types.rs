@@ -41,7 +41,7 @@ pub struct CaptureView {
 
 /// Position and size of the scene, capture units.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Scene3dBounds {
+pub struct SceneBounds {
     /// Centre of the region of interest.
     pub centre: DVec3,
     /// Radius of the region of interest.
@@ -60,13 +60,13 @@ pub struct Capture {
     /// Sparse points with linear Rec.709 colours, when the capture has them.
     pub points: Vec<(DVec3, [f32; 3])>,
     /// Position and size of the subject.
-    pub bounds: Scene3dBounds,
+    pub bounds: SceneBounds,
     /// True when the images' alpha channel is a mask.
     pub has_alpha: bool,
     /// Lights named in the ground truth, when found beside the capture.
     pub lights: BTreeMap<String, EnvMap>,
     /// The light of the photographs, where it was measured; no importer sets it.
-    pub lit_by: Option<EnvMap>,
+    pub measured_light: Option<EnvMap>,
     /// Linear Rec.709 colour of a grey card in the photographs, where one was measured; no importer sets it.
     pub grey_card: Option<[f32; 3]>,
     /// Problems that did not stop the import, e.g. missing images by name.

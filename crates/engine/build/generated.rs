@@ -49,10 +49,12 @@ pub fn piece(name: &str) -> Option<String> {
         "level" => level(),
         "light" => light(),
         "objective" => objective(),
-        "occlusion" => list![constants: NO_HIT, OPAQUE, WIDEST, LEAST_BLOCKED, TREE_DEPTH],
+        "occlusion" => {
+            list![constants: NO_HIT, MIN_TRANSMITTANCE, MAX_OCCLUDER_VARIANCE, MIN_BLOCKED_SHARE, TREE_DEPTH]
+        }
         "parameters" => parameters(),
         "projection" => {
-            list![constants: TILE, NEAR, FAR, FARTHEST_PIXEL, LARGEST_VARIANCE, LEAST_DETERMINANT,
+            list![constants: TILE, NEAR, FAR, MAX_PIXEL_DISTANCE, MAX_SCREEN_VARIANCE, MIN_DETERMINANT,
             LOG_SCALE_LIMIT, ALPHA_MIN, ALPHA_MAX]
         }
         "slots" => slots(),
@@ -156,26 +158,27 @@ fn level() -> String {
 }
 
 fn light() -> String {
-    let mut out = list![light: FULLY_OPEN, DIELECTRIC_F0, MOST_SHEEN, SPECULAR_LEVELS, LUT_SIZE, LOBE_ORDERS,
+    let mut out = list![light: UNOCCLUDED_SH0, DIELECTRIC_F0, MAX_SHEEN, SPECULAR_LEVELS, LUT_SIZE, LOBE_DEGREES,
         LOBE_ROUGHNESSES];
-    out += &list![constants: LEAST_COVERAGE, LEAST_NOV];
+    out += &list![constants: MIN_COVERAGE, MIN_NOV];
     out += &list![relume_layout: MAX_LIGHTS];
     out += &constant("N_LEVELS", light::SPECULAR_LEVELS.len());
     out += "// lambda_l / pi of the clamped cosine.\n";
-    let factors: [f32; light::MOST_ORDER + 1] = std::array::from_fn(|l| light::nrsh_factor(l) as f32);
+    let factors: [f32; light::MAX_FIELD_SH_DEGREE + 1] =
+        std::array::from_fn(|l| light::nrsh_factor(l) as f32);
     out += &constant("NRSH_FACTORS", factors);
     out += "// K_lm with the sqrt(2) of m > 0, at l (l + 1) / 2 + m.\n";
-    const NORMS: usize = (light::MOST_ORDER + 1) * (light::MOST_ORDER + 2) / 2;
+    const NORMS: usize = (light::MAX_FIELD_SH_DEGREE + 1) * (light::MAX_FIELD_SH_DEGREE + 2) / 2;
     let mut norms = [0.0; NORMS];
-    for l in 0..=light::MOST_ORDER {
+    for l in 0..=light::MAX_FIELD_SH_DEGREE {
         (0..=l).for_each(|m| norms[l * (l + 1) / 2 + m] = light::sh_normalisation(l, m) as f32);
     }
     out + &constant("SH_NORM", norms)
 }
 
 fn objective() -> String {
-    let out = list![constants: ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON, AGGREGATION_EPSILON, LEAST_LABEL_WEIGHT,
-        LABEL_MARGIN, SIGMOID_MARGIN, TRUSTED_COVERAGE, DEPTH_JUMP, SSIM_TAPS, SSIM_C1, SSIM_C2];
+    let out = list![constants: ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON, AGGREGATION_EPSILON, MIN_LABEL_WEIGHT,
+        LABEL_MARGIN, SIGMOID_MARGIN, TRUSTED_COVERAGE, MAX_DEPTH_STEP, SSIM_TAPS, SSIM_C1, SSIM_C2];
     out + &constant("SSIM_WINDOW", constants::ssim_window())
 }
 
@@ -235,12 +238,13 @@ fn slots() -> String {
 
 /// Where in the world a pixel's surface is, and from where it looks for a small light.
 fn surface_point() -> String {
-    let places = constants::SHADOW_PLACES;
-    let mut out = list![constants: FARTHEST_PLANE, FARTHEST_MEAN, LIFT];
-    out += &constant("N_SHADOW_PLACES", places.len());
-    let floats: [f32; 2 * constants::SHADOW_PLACES.len()] = std::array::from_fn(|i| places[i / 2][i % 2]);
+    let places = constants::SHADOW_SAMPLE_OFFSETS;
+    let mut out = list![constants: MAX_PLANE_DEPTH_ERROR, MAX_MEAN_DEPTH_ERROR, LIFT];
+    out += &constant("N_SHADOW_SAMPLES", places.len());
+    let floats: [f32; 2 * constants::SHADOW_SAMPLE_OFFSETS.len()] =
+        std::array::from_fn(|i| places[i / 2][i % 2]);
     out += "// x and y, one after the other.\n";
-    out + &constant("SHADOW_PLACES", floats)
+    out + &constant("SHADOW_SAMPLE_OFFSETS", floats)
 }
 
 /// `PhysicalL1` as `_PHYSICAL_L1`.

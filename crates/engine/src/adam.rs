@@ -6,7 +6,7 @@ use relume_scene::Field;
 /// Share of the radiance step that coefficients beyond degree 0 take.
 pub const HIGHER_DEGREE_SHARE: f32 = 0.05;
 /// Steps after which a bias correction is 1 in f32.
-const MOST_STEPS: u32 = 100_000;
+const MAX_STEPS: u32 = 100_000;
 
 /// Parameters that begin to train together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -73,7 +73,7 @@ impl StepCounts {
             FieldGroup::Geometry => self.geometry,
             FieldGroup::Material => self.material,
         };
-        let correction = |beta: f32| 1.0 - beta.powi(steps.clamp(1, MOST_STEPS) as i32);
+        let correction = |beta: f32| 1.0 - beta.powi(steps.clamp(1, MAX_STEPS) as i32);
         [correction(ADAM_BETA1), correction(ADAM_BETA2).sqrt()]
     }
 }

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use crate::adapter::choose_adapter;
 #[cfg(feature = "gpu")]
 use crate::gpu::{self, Adapters, Gpu, GpuOptions};
-use crate::{AdapterReport, DeviceChoice, DeviceError, Frames, TrainState, Training, TrainingLimits, cpu};
+use crate::{
+    AdapterReport, DeviceChoice, DeviceError, FrameRenderer, TrainState, TrainingEngine, TrainingLimits, cpu,
+};
 use relume_scene::Model;
 use relume_scene::light::EnvOperators;
 
@@ -100,11 +102,11 @@ impl Device {
         state: TrainState,
         operators: &Arc<EnvOperators>,
         limits: &TrainingLimits,
-    ) -> Result<Box<dyn Training>, DeviceError> {
+    ) -> Result<Box<dyn TrainingEngine>, DeviceError> {
         match self {
-            Self::Cpu => Ok(Box::new(cpu::Training::new(state, operators))),
+            Self::Cpu => Ok(Box::new(cpu::CpuTraining::new(state, operators))),
             #[cfg(feature = "gpu")]
-            Self::Gpu(gpu) => Ok(Box::new(gpu::Training::new(gpu, state, operators, limits)?)),
+            Self::Gpu(gpu) => Ok(Box::new(gpu::GpuTraining::new(gpu, state, operators, limits)?)),
         }
     }
 
@@ -112,13 +114,13 @@ impl Device {
     ///
     /// # Errors
     /// When the device cannot hold it.
-    pub fn frames(&self, model: Arc<Model>) -> Result<Frames, DeviceError> {
+    pub fn frames(&self, model: Arc<Model>) -> Result<FrameRenderer, DeviceError> {
         match self {
-            Self::Cpu => Ok(Frames::on_cpu_only(model)),
+            Self::Cpu => Ok(FrameRenderer::on_cpu_only(model)),
             #[cfg(feature = "gpu")]
             Self::Gpu(gpu) => {
-                let device = gpu::Frames::new(gpu, &model)?;
-                Ok(Frames::beside(model, Box::new(device)))
+                let device = gpu::GpuFrameRenderer::new(gpu, &model)?;
+                Ok(FrameRenderer::beside(model, Box::new(device)))
             }
         }
     }

@@ -13,7 +13,7 @@ pub const BOUNCES: usize = 3;
 
 /// How the colour of a frame comes about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ShadeColour {
+pub enum ColourMode {
     /// Gaussians are shaded once and blended in three channels: `rgb` and `alpha` only, whatever the model.
     Alone,
     /// With a G-buffer, shaded where the model was trained to be.
@@ -28,7 +28,7 @@ pub struct FrameJob<'a> {
     /// Sorted, without repetition.
     pub outputs: &'a [Output],
     /// How its colour comes about.
-    pub colour: ShadeColour,
+    pub colour: ColourMode,
     /// From model to capture units.
     pub depth_scale: f32,
 }
@@ -37,7 +37,7 @@ pub struct FrameJob<'a> {
 pub type DeviceLight = Box<dyn Any + Send + Sync>;
 
 /// A model on a device other than the CPU engine.
-pub trait DeviceFrames: Send + Sync {
+pub trait DeviceRenderer: Send + Sync {
     /// The light of `tables`, with what the model's surfaces send each other under it.
     ///
     /// # Errors

@@ -3,39 +3,39 @@
 
 use std::sync::{Arc, OnceLock};
 
-use crate::frame_job::{DeviceFrames, DeviceLight, FrameJob};
+use crate::frame_job::{DeviceLight, DeviceRenderer, FrameJob};
 use crate::{DeviceError, Frame, RayLight, cpu};
 use relume_scene::light::{LightTables, rendering_tables, split_tables, tables_of_split};
 use relume_scene::{Illumination, Model, ShadeAt};
 
 /// A model on its device. The CPU engine can render it beside any device, for tiers that only it has.
-pub struct Frames {
-    cpu: cpu::Frames,
-    device: Option<Box<dyn DeviceFrames>>,
+pub struct FrameRenderer {
+    cpu: cpu::CpuFrameRenderer,
+    device: Option<Box<dyn DeviceRenderer>>,
 }
 
 /// A light prepared for a model on its device.
 pub struct FrameLight {
     device: Option<DeviceLight>,
-    cpu: OnceLock<cpu::FrameLight>,
+    cpu: OnceLock<cpu::CpuFrameLight>,
 }
 
 impl FrameLight {
     /// The light on the CPU engine, where it was prepared there.
-    pub fn on_cpu(&self) -> Option<&cpu::FrameLight> {
+    pub fn on_cpu(&self) -> Option<&cpu::CpuFrameLight> {
         self.cpu.get()
     }
 }
 
-impl Frames {
+impl FrameRenderer {
     /// Takes a checked model in, for the CPU engine.
     pub fn on_cpu_only(model: Arc<Model>) -> Self {
-        Self { cpu: cpu::Frames::new(model), device: None }
+        Self { cpu: cpu::CpuFrameRenderer::new(model), device: None }
     }
 
     /// Takes a checked model in that `device` holds too.
-    pub fn beside(model: Arc<Model>, device: Box<dyn DeviceFrames>) -> Self {
-        Self { cpu: cpu::Frames::new(model), device: Some(device) }
+    pub fn beside(model: Arc<Model>, device: Box<dyn DeviceRenderer>) -> Self {
+        Self { cpu: cpu::CpuFrameRenderer::new(model), device: Some(device) }
     }
 
     /// The model.
@@ -49,7 +49,7 @@ impl Frames {
     }
 
     /// The same model on the CPU engine.
-    pub fn on_cpu(&self) -> &cpu::Frames {
+    pub fn on_cpu(&self) -> &cpu::CpuFrameRenderer {
         &self.cpu
     }
 
@@ -66,7 +66,7 @@ impl Frames {
     }
 
     /// The light on the CPU engine, made of `source` where it was prepared on another device.
-    pub fn light_on_cpu<'a>(&self, light: &'a FrameLight, source: &Illumination) -> &'a cpu::FrameLight {
+    pub fn light_on_cpu<'a>(&self, light: &'a FrameLight, source: &Illumination) -> &'a cpu::CpuFrameLight {
         light.cpu.get_or_init(|| self.cpu.prepare_light(self.tables(source)))
     }
 
@@ -103,11 +103,11 @@ impl Frames {
 
     /// Tables of the environment, and beside them the lights that cast a shadow each, where Gaussians are shaded.
     fn tables(&self, light: &Illumination) -> LightTables {
-        let (environment, order) = (&light.environment, self.model().gaussians.visibility_order());
+        let (environment, sh_degree) = (&light.environment, self.model().gaussians.visibility_degree());
         match (self.model().shading.shade_at, &light.split) {
-            (ShadeAt::Pixel, _) => rendering_tables(environment, order),
-            (ShadeAt::Gaussian, Some(split)) => tables_of_split(environment, split, order),
-            (ShadeAt::Gaussian, None) => split_tables(environment, order),
+            (ShadeAt::Pixel, _) => rendering_tables(environment, sh_degree),
+            (ShadeAt::Gaussian, Some(split)) => tables_of_split(environment, split, sh_degree),
+            (ShadeAt::Gaussian, None) => split_tables(environment, sh_degree),
         }
     }
 }

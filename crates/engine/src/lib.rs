@@ -1,7 +1,7 @@
 //! The differentiable renderer. `docs/MODEL.md` says what every engine computes; [`mod@reference`] computes it in f64,
 //! [`cpu`] fast on any machine, [`gpu`] on a graphics card.
 //!
-//! [`Device`] opens an engine. [`Training`] and [`Frames`] are all that a trainer and a renderer ask of it.
+//! [`Device`] opens an engine. [`TrainingEngine`] and [`FrameRenderer`] are all that a trainer and a renderer ask of it.
 
 pub mod adam;
 mod adapter;
@@ -17,7 +17,7 @@ mod frames;
 pub mod gpu;
 mod gradients;
 mod indirect;
-mod light_turn;
+mod light_rotation;
 mod objective;
 mod probing;
 mod ray_job;
@@ -33,11 +33,11 @@ pub use density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, Sp
 pub use device::{Device, adapters};
 pub use error::DeviceError;
 pub use frame::Frame;
-pub use frame_job::{BOUNCES, DeviceFrames, DeviceLight, FrameJob, PROBE_DIRECTIONS, ShadeColour};
-pub use frames::{FrameLight, Frames};
+pub use frame_job::{BOUNCES, ColourMode, DeviceLight, DeviceRenderer, FrameJob, PROBE_DIRECTIONS};
+pub use frames::{FrameLight, FrameRenderer};
 pub use gradients::{Gradients, RowLayout};
 pub use indirect::{NO_INDIRECT_BASIS, indirect_basis, indirect_basis_backward};
-pub use light_turn::{LightTurn, LightTurns};
+pub use light_rotation::{LightRotation, LightRotations};
 pub use objective::{
     ImageWeights, LightWeights, ParameterWeights, StepWeights, SurfaceWeights, upward_share,
 };
@@ -45,6 +45,6 @@ pub use probing::{ProbeSettings, fibonacci_sphere, towards_light};
 pub use ray_job::{RayLight, RayTree};
 pub use relume_layout::constants::TILE;
 pub use state::{Moments, TrainState};
-pub use step::{Branches, FieldUpdate, Photo, PhotoId, PhotoSize, ProbeMeasurement, Step, StepSums};
-pub use training::{Training, TrainingLimits};
+pub use step::{Branches, FieldUpdate, Photo, PhotoId, PhotoSize, ProbeMeasurement, Step, StepResult};
+pub use training::{TrainingEngine, TrainingLimits};
 pub use zeros::zeros;

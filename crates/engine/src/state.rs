@@ -18,7 +18,7 @@ impl Moments {
     /// Zero moments for `model`.
     pub fn zeroed(model: &Model) -> Self {
         let g = &model.gaussians;
-        let zero = Gaussians::zeroed(g.len(), g.prototypes(), g.visibility_order(), g.radiance_order());
+        let zero = Gaussians::zeroed(g.len(), g.prototypes(), g.visibility_degree(), g.radiance_degree());
         let globals = vec![[0.0; 3]; model.prototypes.len() + model.env_raw.len()];
         Self { first: zero.clone(), second: zero, globals: [globals.clone(), globals] }
     }

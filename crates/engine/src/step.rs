@@ -1,7 +1,7 @@
 //! One optimisation step as an engine is asked for it, and what it comes to.
 
 use crate::adam::{StepCounts, StepSizes};
-use crate::light_turn::LightTurn;
+use crate::light_rotation::LightRotation;
 use crate::objective::StepWeights;
 use relume_layout::channel::{Channels, StepChannels};
 use relume_scene::{Camera, Field, Gaussians, IndirectForm, ShadeAt, ShadingOptions};
@@ -16,7 +16,7 @@ pub struct Photo {
     /// Mask in [0, 1], row-major; empty when the capture has no masks.
     pub alpha: Vec<f32>,
     /// How the light stood in it.
-    pub light: LightTurn,
+    pub light: LightRotation,
 }
 
 /// Size at which photographs are trained on.
@@ -93,7 +93,7 @@ pub struct Step<'a> {
 
 /// What a step came to.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct StepSums {
+pub struct StepResult {
     /// The objective before the step.
     pub loss: f32,
     /// Mean squared error of the leading branch: the physically based one where it trains.
@@ -121,7 +121,7 @@ pub struct ProbeMeasurement<'a> {
     /// Rounds of gathered light, 0 for none; nothing is gathered by a model that does not shade with it.
     pub bounces: usize,
     /// Turns of the light that light is gathered under, radians: a block of gathered light for each.
-    pub turns: &'a [f64],
+    pub rotations: &'a [f64],
     /// What the visibility field takes of it.
     pub field: FieldUpdate,
     /// Measurements in a row: each starts from the open side that the one before found.

@@ -7,29 +7,29 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::density::{DensityPlan, DensitySignals};
-use crate::step::{PhotoId, ProbeMeasurement, Step, StepSums};
+use crate::step::{PhotoId, ProbeMeasurement, Step, StepResult};
 use crate::{DeviceError, TrainState};
 use relume_scene::light::EnvOperators;
 
 /// The arithmetic of a training on one device.
 ///
 /// A device may work on a step while the host prepares the next one, so that what a step came to is known later. Everything
-/// but [`Training::step`], [`Training::load`], [`Training::reshape`] and [`Training::roll_back`] wants to be asked after
-/// [`Training::finish`].
-pub trait Training: Send {
+/// but [`TrainingEngine::step`], [`TrainingEngine::load`], [`TrainingEngine::reshape`] and [`TrainingEngine::roll_back`] wants to be asked after
+/// [`TrainingEngine::finish`].
+pub trait TrainingEngine: Send {
     /// Objective, gradients, density statistics and parameter update for one photograph. A step that is not finite leaves
     /// a state that must not be built on. Gives what a step came to, each step's once and in their order: this one's, or that
     /// of the step before, if there is one.
     ///
     /// # Errors
     /// What went wrong on the device; as for every method here.
-    fn step(&mut self, step: &Step<'_>) -> Result<Option<StepSums>, DeviceError>;
+    fn step(&mut self, step: &Step<'_>) -> Result<Option<StepResult>, DeviceError>;
 
     /// Whether the device has the pixels of a photograph, so that a step needs none of them ([`Photo`](crate::Photo)).
     fn holds(&self, photo: PhotoId) -> bool;
 
     /// Waits until every step is done; gives what the last one came to, where that was not given yet.
-    fn finish(&mut self) -> Result<Option<StepSums>, DeviceError>;
+    fn finish(&mut self) -> Result<Option<StepResult>, DeviceError>;
 
     /// Measures visibility and gathered light anew.
     fn measure(&mut self, how: &ProbeMeasurement<'_>) -> Result<(), DeviceError>;
@@ -51,7 +51,7 @@ pub trait Training: Send {
     /// model's lights become theirs; the next measurement finds their shadows, until then all of them arrives.
     fn light(&mut self, operators: &Arc<EnvOperators>) -> Result<(), DeviceError>;
 
-    /// Makes this the state that [`Training::roll_back`] returns to, unless it is known not to be finite; says whether it
+    /// Makes this the state that [`TrainingEngine::roll_back`] returns to, unless it is known not to be finite; says whether it
     /// was taken.
     fn snapshot(&mut self) -> Result<bool, DeviceError>;
 

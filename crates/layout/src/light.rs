@@ -4,7 +4,7 @@
 use std::f64::consts::PI;
 
 /// Coefficient `c_00` of a visibility field that is 1 everywhere: `2 sqrt(pi)`.
-pub const FULLY_OPEN: f32 = 3.544_907_7;
+pub const UNOCCLUDED_SH0: f32 = 3.544_907_7;
 /// Share of each linear channel in luminance (ITU-R BT.709).
 pub const LUMINANCE: [f32; 3] = [0.2126, 0.7152, 0.0722];
 /// Luminance that a white surface facing up is taken to have in photographs whose light is not known: `exp(-0.1)` of white
@@ -13,20 +13,20 @@ pub const UPWARD_LUMINANCE: f32 = 0.904_837_4;
 /// Reflectance of a dielectric at normal incidence.
 pub const DIELECTRIC_F0: f32 = 0.04;
 /// The absolute value of sheen counts to this, a gain of 20 or of a twentieth; what is beyond has no gradient.
-pub const MOST_SHEEN: f32 = 3.0;
+pub const MAX_SHEEN: f32 = 3.0;
 /// Roughness of each prefiltered level; radiance between two levels is interpolated linearly.
 pub const SPECULAR_LEVELS: [f32; 6] = [0.1, 0.25, 0.4, 0.6, 0.8, 1.0];
 /// Texels along a side of the split-sum table.
 pub const LUT_SIZE: usize = 32;
 /// SH degrees of the table of lobe attenuation: 0..=8.
-pub const LOBE_ORDERS: usize = 9;
+pub const LOBE_DEGREES: usize = 9;
 /// Roughnesses of that table, 0 to 1.
 pub const LOBE_ROUGHNESSES: usize = 33;
 /// Highest SH order of a visibility or radiance field.
-pub const MOST_ORDER: usize = 6;
+pub const MAX_FIELD_SH_DEGREE: usize = 6;
 
 /// Funk-Hecke eigenvalues of the clamped cosine for l = 0..=6: pi, 2pi/3, pi/4, 0, -pi/24, 0, pi/64.
-pub const CLAMPED_COSINE: [f64; MOST_ORDER + 1] =
+pub const CLAMPED_COSINE: [f64; MAX_FIELD_SH_DEGREE + 1] =
     [PI, 2.0 * PI / 3.0, PI / 4.0, 0.0, -PI / 24.0, 0.0, PI / 64.0];
 
 /// `lambda_l / pi`, the factor of normal-related SH (article Eq. 17 with the 1/pi of Eq. 16).

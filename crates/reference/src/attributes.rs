@@ -3,7 +3,7 @@
 use super::array::Array;
 use super::model::Parameters;
 use super::projection::rotations;
-use super::spherical::{order_of, real_sh};
+use super::spherical::{real_sh, sh_degree_of};
 use super::tape::{Tape, Var};
 use relume_scene::{Camera, Field, NormalForm};
 
@@ -38,13 +38,13 @@ pub fn radiance<'t>(tape: &'t Tape, p: &Parameters<'t>, camera: &Camera) -> Var<
     let raw = p.get(Field::Radiance);
     let (count, floats) = (raw.value().shape()[0], raw.value().shape()[1]);
     let coefficients = raw.reshaped(&[count, floats / 3, 3]);
-    let order = (floats / 3).isqrt() - 1;
-    let basis = real_sh(from_camera(tape, p, camera).normalised(), order);
+    let sh_degree = (floats / 3).isqrt() - 1;
+    let basis = real_sh(from_camera(tape, p, camera).normalised(), sh_degree);
     let colour = (coefficients * basis.reshaped(&[count, floats / 3, 1])).sum_axis(1);
     (colour.reshaped(&[count, 3]) + 0.5).at_least(0.0)
 }
 
 /// Visibility `sum c Y(d)` of coefficients (n, (L + 1)^2) along unit directions (n, 3), unsquashed, (n, 1).
 pub fn field<'t>(coefficients: Var<'t>, directions: Var<'t>) -> Var<'t> {
-    coefficients.dot(real_sh(directions, order_of(coefficients)))
+    coefficients.dot(real_sh(directions, sh_degree_of(coefficients)))
 }

@@ -1,6 +1,6 @@
 //! Dense front-to-back compositing: every Gaussian at every pixel, with forward and backward transmittance.
 
-use super::ops::Order;
+use super::ops::ScanDirection;
 use super::projection::{Splats, pixel_centres};
 use super::tape::{Tape, Var};
 use relume_scene::Camera;
@@ -49,8 +49,8 @@ pub fn composite<'t>(
     let alpha = alpha * tape.input(drawn);
 
     // Eq. 4 and 14: what survives the layers in front, and the layers behind.
-    let forward = (1.0 - alpha).exclusive_product(Order::Forward);
-    let backward = (1.0 - alpha).exclusive_product(Order::Backward);
+    let forward = (1.0 - alpha).exclusive_product(ScanDirection::Forward);
+    let backward = (1.0 - alpha).exclusive_product(ScanDirection::Backward);
     let weights = forward * alpha;
     Weights { weights, backward, alpha: weights.sum_last() }
 }

@@ -36,7 +36,7 @@ impl Conventions {
     pub(super) fn shaded(self, coverage: &Array) -> Array {
         let least = match self {
             Self::Listing => 0.0,
-            Self::Model => LEAST_SHADED,
+            Self::Model => MIN_SHADED_COVERAGE,
         };
         coverage.map(|c| f64::from(u8::from(c >= least)))
     }
@@ -154,7 +154,7 @@ pub struct Stages<'t> {
 }
 
 /// Pixels covered less than this are not shaded (docs/MODEL.md section 4).
-const LEAST_SHADED: f64 = 1e-3;
+const MIN_SHADED_COVERAGE: f64 = 1e-3;
 
 /// Renders a scene, keeping every stage on the tape.
 pub fn forward<'t>(tape: &'t Tape, scene: &ReferenceModel, camera: &Camera, options: &Options) -> Stages<'t> {
@@ -190,7 +190,7 @@ fn light<'t>(tape: &'t Tape, p: &Parameters<'t>, options: &Options) -> Box<dyn L
     match &options.light {
         Light::Quadrature(quadrature) => Box::new(quadrature.under(radiance)),
         Light::Tables(tables) => {
-            Box::new(tables.under(radiance, spherical::order_of(p.get(Field::Visibility))))
+            Box::new(tables.under(radiance, spherical::sh_degree_of(p.get(Field::Visibility))))
         }
     }
 }

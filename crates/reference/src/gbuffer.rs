@@ -62,7 +62,7 @@ pub struct GBuffer<'t> {
 }
 
 /// Smallest coverage attributes are divided by.
-const LEAST_COVERAGE: f64 = 1e-6;
+const MIN_COVERAGE: f64 = 1e-6;
 
 /// Blends the attributes of the splats' Gaussians.
 pub fn blend<'t>(
@@ -73,7 +73,7 @@ pub fn blend<'t>(
 ) -> GBuffer<'t> {
     let sums = |of: Var<'t>| weights.weights.matmul(of.gather(0, &splats.indices));
     let coverage = weights.alpha;
-    let divisor = coverage.at_least(LEAST_COVERAGE);
+    let divisor = coverage.at_least(MIN_COVERAGE);
     let mean = |of: Var<'t>| sums(of) / divisor;
     GBuffer {
         coverage,

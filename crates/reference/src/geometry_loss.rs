@@ -19,11 +19,11 @@ pub struct DepthNormalInput<'t> {
 /// Coverage below which a pixel's depth is not trusted.
 const TRUSTED_COVERAGE: f64 = 0.5;
 /// Planes must face the ray by this much for their intersection to be trusted.
-const LEAST_FACING: f64 = 0.05;
+const MIN_FACING: f64 = 0.05;
 /// Depths beyond this are not trusted, world units.
-const FARTHEST: f64 = 1e4;
+const MAX_DEPTH: f64 = 1e4;
 /// Neighbouring depths further apart than this fraction are an edge, not a surface.
-const DEPTH_JUMP: f64 = 0.05;
+const MAX_DEPTH_STEP: f64 = 0.05;
 
 /// `coverage (1 - n . n_d)` summed over the pixels whose own, right and lower depths form a surface, divided by
 /// all pixels (docs/MODEL.md section 5).
@@ -60,7 +60,7 @@ fn trusted(coverage: &Array, facing: &Array, plane: &Array) -> Array {
     let usable = |i: usize| {
         let [coverage, facing, plane] = [coverage, facing, plane].map(|a| a.data()[i]);
         let depth = plane / facing;
-        coverage >= TRUSTED_COVERAGE && facing * coverage < -LEAST_FACING && depth > 0.0 && depth < FARTHEST
+        coverage >= TRUSTED_COVERAGE && facing * coverage < -MIN_FACING && depth > 0.0 && depth < MAX_DEPTH
     };
     Array::new(coverage.shape(), (0..coverage.len()).map(|i| f64::from(u8::from(usable(i)))).collect())
 }
@@ -71,7 +71,7 @@ fn surfaces(depth: &Array, trusted: &Array) -> Array {
     let one_surface = |own: usize| {
         let near = |i: usize| {
             let jump = (depth.data()[i] - depth.data()[own]).abs();
-            trusted.data()[i] == 1.0 && jump <= DEPTH_JUMP * depth.data()[own]
+            trusted.data()[i] == 1.0 && jump <= MAX_DEPTH_STEP * depth.data()[own]
         };
         near(own) && near(own + 1) && near(own + width)
     };

@@ -39,11 +39,11 @@ pub use model::{
 pub use objective::{
     LISTING_WEIGHTS, Labels, Target, Terms, loss_and_gradients, objective, occlusion, weighted_sum,
 };
-pub use ops::{Order, concat};
+pub use ops::{ScanDirection, concat};
 pub use probes::Probes;
 pub use projection::{GuardBand, NEAR, Splats};
 pub use quadrature::{Quadrature, QuadratureLight};
 pub use shading::{Shaded, Surfaces};
 pub use spherical::{CLAMPED_COSINE, fibonacci_sphere, normal_related_sh, real_sh};
-pub use tables::{TableLight, TableOperators};
+pub use tables::{TableOperators, TabulatedEnvironment};
 pub use tape::{Tape, TapeGradients, Var};

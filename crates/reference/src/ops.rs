@@ -224,12 +224,12 @@ impl<'t> Var<'t> {
     }
 
     /// Product of all entries before (`Forward`) or after (`Backward`) each along the last axis.
-    pub fn exclusive_product(self, order: Order) -> Var<'t> {
+    pub fn exclusive_product(self, direction: ScanDirection) -> Var<'t> {
         let x = self.value();
         let width = x.shape().last().copied().unwrap_or(1).max(1);
         let mut y = Array::filled(x.shape(), 1.0);
         for (y, x) in y.data_mut().chunks_mut(width).zip(x.data().chunks(width)) {
-            order.steps(width).for_each(|(from, to)| y[to] = y[from] * x[from]);
+            direction.steps(width).for_each(|(from, to)| y[to] = y[from] * x[from]);
         }
         let values = y.clone();
         self.tape.custom(&[self], y, move |g| {
@@ -239,7 +239,7 @@ impl<'t> Var<'t> {
             for (row, gy) in gy.data_mut().chunks_mut(width).enumerate() {
                 let (x, y) = (&x.data()[row * width..], &values.data()[row * width..]);
                 let gx = &mut gx.data_mut()[row * width..];
-                for (from, to) in order.steps(width).rev() {
+                for (from, to) in direction.steps(width).rev() {
                     gx[from] += gy[to] * y[from];
                     gy[from] += gy[to] * x[from];
                 }
@@ -259,14 +259,14 @@ impl<'t> Var<'t> {
 
 /// Direction of a running product.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Order {
+pub enum ScanDirection {
     /// Entry k holds the product of entries before k.
     Forward,
     /// Entry k holds the product of entries after k.
     Backward,
 }
 
-impl Order {
+impl ScanDirection {
     /// The (from, to) index pairs of the product over `size` entries.
     fn steps(self, size: usize) -> impl DoubleEndedIterator<Item = (usize, usize)> {
         (1..size).map(move |k| match self {
@@ -401,7 +401,9 @@ mod tests {
             ("matmul and transposed", |x| x.matmul(x.transposed())),
             ("batched product", |x| x.slice(0, 0..1).reshaped(&[1, 1, 3]).matmul(x.reshaped(&[2, 3, 1]))),
             ("gather with repeats", |x| x.gather(1, &[2, 0, 2])),
-            ("products", |x| x.exclusive_product(Order::Forward) + x.exclusive_product(Order::Backward)),
+            ("products", |x| {
+                x.exclusive_product(ScanDirection::Forward) + x.exclusive_product(ScanDirection::Backward)
+            }),
             ("convolved", |x| x.convolved(1, &[0.2, 0.5, -0.4]).convolved(0, &[0.1, 0.8, 0.3])),
             ("concat", |x| concat(x.tape, 1, &[x * x, x.column(1), x])),
         ];

@@ -82,10 +82,10 @@ impl Probes {
         Self { directions: directions.clone(), transmittance, seen }
     }
 
-    /// Visibility coefficients `4 pi / D sum_d V(w_d) Y(w_d)` up to degree `order`, (N, (order + 1)^2).
-    pub fn coefficients(&self, order: usize) -> Array {
+    /// Visibility coefficients `4 pi / D sum_d V(w_d) Y(w_d)` up to degree `sh_degree`, (N, (order + 1)^2).
+    pub fn coefficients(&self, sh_degree: usize) -> Array {
         let tape = Tape::new();
-        let basis = real_sh(tape.input(self.directions.clone()), order);
+        let basis = real_sh(tape.input(self.directions.clone()), sh_degree);
         let share = 4.0 * PI / self.directions.shape()[0] as f64;
         (*(tape.input(self.transmittance.clone()).matmul(basis) * share).value()).clone()
     }

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use super::array::Array;
 use super::lighting::Lighting;
-use super::spherical::{order_of, real_sh};
+use super::spherical::{real_sh, sh_degree_of};
 use super::tape::Var;
 
 /// The fixed tables of the quadrature.
@@ -19,7 +19,7 @@ pub struct Quadrature {
 }
 
 /// Smallest GGX alpha the texels can resolve.
-const SMALLEST_ALPHA: f64 = 0.02;
+const MIN_GGX_ALPHA: f64 = 0.02;
 
 impl Quadrature {
     /// The quadrature of one `radiance`, (M, 3).
@@ -55,7 +55,7 @@ impl<'t> Lighting<'t> for QuadratureLight<'t> {
     }
 
     fn transfer(&self, normals: Var<'t>, visibility: Var<'t>) -> Var<'t> {
-        let basis = real_sh(self.directions, order_of(visibility));
+        let basis = real_sh(self.directions, sh_degree_of(visibility));
         let seen = visibility.matmul(basis.transposed());
         (self.cosines(normals) * self.solid_angles * seen).matmul(self.radiance)
     }
@@ -63,7 +63,7 @@ impl<'t> Lighting<'t> for QuadratureLight<'t> {
     /// The article's lobe: GGX of the angle to the reflected direction itself.
     fn prefiltered(&self, directions: Var<'t>, roughness: Var<'t>) -> Var<'t> {
         let cosines = self.cosines(directions);
-        let alpha = (roughness * roughness).at_least(SMALLEST_ALPHA);
+        let alpha = (roughness * roughness).at_least(MIN_GGX_ALPHA);
         let lobe = ggx(cosines, alpha) * cosines * self.solid_angles;
         lobe.matmul(self.radiance) / (lobe.sum_last() + 1e-8)
     }

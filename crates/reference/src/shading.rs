@@ -9,9 +9,9 @@ use super::gbuffer::{BlendedLight, GBuffer};
 use super::lighting::Lighting;
 use super::model::Parameters;
 use super::projection::view_vectors;
-use super::spherical::{degrees, fibonacci_sphere, normal_related_sh, order_of, real_sh};
+use super::spherical::{degrees, fibonacci_sphere, normal_related_sh, real_sh, sh_degree_of};
 use super::tape::{Tape, Var};
-use relume_scene::light::{LobeAttenuation, MOST_SHEEN};
+use relume_scene::light::{LobeAttenuation, MAX_SHEEN};
 use relume_scene::{Camera, DiffuseForm, Field, ShadingOptions, VisibilityForm};
 
 /// What shading makes of P pixels or Gaussians.
@@ -141,7 +141,7 @@ pub fn shade<'t>(
 
 /// `exp(s (1 - n . v)^3)`, docs/MODEL.md section 4.
 fn sheen_gain<'t>(sheen: Var<'t>, n_dot_v: Var<'t>) -> Var<'t> {
-    let most = f64::from(MOST_SHEEN);
+    let most = f64::from(MAX_SHEEN);
     (sheen.clamp(-most, most) * (1.0 - n_dot_v).powi(3)).exp()
 }
 
@@ -153,7 +153,7 @@ fn facing<'t>(tape: &'t Tape, normals: Var<'t>, view: Var<'t>) -> Var<'t> {
 }
 
 fn ambient_occlusion<'t>(normal: Var<'t>, visibility: Var<'t>, form: VisibilityForm) -> Var<'t> {
-    squashed(visibility.dot(normal_related_sh(normal, order_of(visibility))), form)
+    squashed(visibility.dot(normal_related_sh(normal, sh_degree_of(visibility))), form)
 }
 
 /// The field as it is shaded with.
@@ -184,8 +184,8 @@ fn lobe_visibility<'t>(
     roughness: Var<'t>,
     form: VisibilityForm,
 ) -> Var<'t> {
-    let order = order_of(coefficients);
-    let along = coefficients * real_sh(reflection, order);
+    let sh_degree = sh_degree_of(coefficients);
+    let along = coefficients * real_sh(reflection, sh_degree);
     if form == VisibilityForm::Sigmoid {
         return squashed(along.sum_last(), form);
     }
@@ -193,5 +193,5 @@ fn lobe_visibility<'t>(
         let sample = LobeAttenuation::shared().sample(roughness);
         (sample.value, sample.by_roughness.map(|derivative| [derivative]))
     });
-    squashed(along.dot(attenuation.gather(1, &degrees(order))), form)
+    squashed(along.dot(attenuation.gather(1, &degrees(sh_degree))), form)
 }

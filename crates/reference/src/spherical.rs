@@ -11,18 +11,18 @@ use super::tape::Var;
 /// Beyond degree 6 the kernel is taken as 0.
 pub const CLAMPED_COSINE: [f64; 7] = [PI, 2.0 * PI / 3.0, PI / 4.0, 0.0, -PI / 24.0, 0.0, PI / 64.0];
 
-/// Orthonormal real SH up to degree `order` of unit rows (n, 3) -> (n, (order + 1)^2), index `l*l + l + m`.
+/// Orthonormal real SH up to degree `sh_degree` of unit rows (n, 3) -> (n, (order + 1)^2), index `l*l + l + m`.
 ///
 /// `Y_lm = N_lm P_lm(z) / sin^m * Re or Im (x + iy)^m`: polynomial in x, y, z, hence smooth at the poles.
-pub fn real_sh(directions: Var<'_>, order: usize) -> Var<'_> {
+pub fn real_sh(directions: Var<'_>, sh_degree: usize) -> Var<'_> {
     let (x, y, z) = (directions.column(0), directions.column(1), directions.column(2));
     let one = x * 0.0 + 1.0;
-    let mut columns = vec![one; (order + 1) * (order + 1)];
+    let mut columns = vec![one; (sh_degree + 1) * (sh_degree + 1)];
     // (x + iy)^m and the sectoral P_mm / sin^m = (-1)^m (2m - 1)!!
     let (mut cosine, mut sine, mut sectoral) = (one, one * 0.0, 1.0);
-    for m in 0..=order {
+    for m in 0..=sh_degree {
         let (mut previous, mut legendre) = (one * 0.0, one * sectoral);
-        for l in m..=order {
+        for l in m..=sh_degree {
             if m == 0 {
                 columns[l * l + l] = legendre * norm(l, 0);
             } else {
@@ -39,21 +39,21 @@ pub fn real_sh(directions: Var<'_>, order: usize) -> Var<'_> {
     concat(directions.tape, 1, &columns)
 }
 
-/// SH degree l of each coefficient up to `order`, by index.
-pub fn degrees(order: usize) -> Vec<usize> {
-    (0..=order).flat_map(|l| std::iter::repeat_n(l, 2 * l + 1)).collect()
+/// SH degree l of each coefficient up to `sh_degree`, by index.
+pub fn degrees(sh_degree: usize) -> Vec<usize> {
+    (0..=sh_degree).flat_map(|l| std::iter::repeat_n(l, 2 * l + 1)).collect()
 }
 
 /// The highest degree of SH coefficients (n, (order + 1)^2).
-pub fn order_of(coefficients: Var<'_>) -> usize {
+pub fn sh_degree_of(coefficients: Var<'_>) -> usize {
     coefficients.value().shape()[1].isqrt() - 1
 }
 
 /// Normal-related SH of unit rows (n, 3) -> (n, (order + 1)^2): `AO = <c, NRSH(n)>` (article Eq. 16-18).
-pub fn normal_related_sh(normals: Var<'_>, order: usize) -> Var<'_> {
+pub fn normal_related_sh(normals: Var<'_>, sh_degree: usize) -> Var<'_> {
     let factor = |l: usize| CLAMPED_COSINE.get(l).map_or(0.0, |lambda| lambda / PI);
-    let factors: Vec<f64> = degrees(order).into_iter().map(factor).collect();
-    real_sh(normals, order) * normals.tape.input(Array::new(&[factors.len()], factors))
+    let factors: Vec<f64> = degrees(sh_degree).into_iter().map(factor).collect();
+    real_sh(normals, sh_degree) * normals.tape.input(Array::new(&[factors.len()], factors))
 }
 
 /// `n` directions spread evenly over the sphere on a golden spiral, (n, 3).

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 
 use super::array::Array;
 use super::lighting::{DirectLight, Lighting};
-use super::spherical::{order_of, real_sh};
+use super::spherical::{real_sh, sh_degree_of};
 use super::tape::Var;
 use relume_scene::light::{BrdfLut, CubeGrid, LevelPosition, SPECULAR_LEVELS, TableResolution, ggx_d};
 use relume_scene::{LightSplit, MAX_LIGHTS, SplitLight, texel_directions};
@@ -94,17 +94,17 @@ impl TableOperators {
         radiance * radiance.tape.input(Array::from_rows(&shares))
     }
 
-    /// The tables of one `radiance`, (M, 3), serving visibility up to degree `order`.
-    pub fn under<'t>(&self, radiance: Var<'t>, order: usize) -> TableLight<'t> {
+    /// The tables of one `radiance`, (M, 3), serving visibility up to degree `sh_degree`.
+    pub fn under<'t>(&self, radiance: Var<'t>, sh_degree: usize) -> TabulatedEnvironment<'t> {
         let lights = self.lights(radiance);
         let radiance = self.rest(radiance);
         let tape = radiance.tape;
-        let basis = real_sh(tape.input(self.directions.clone()), order);
+        let basis = real_sh(tape.input(self.directions.clone()), sh_degree);
         let [texels, coefficients] = [0, 1].map(|i| basis.value().shape()[i]);
         // Light let through by each coefficient, per colour.
         let products = radiance.reshaped(&[texels, 3, 1]) * basis.reshaped(&[texels, 1, coefficients]);
         let products = products.reshaped(&[texels, 3 * coefficients]);
-        TableLight {
+        TabulatedEnvironment {
             diffuse: self.diffuse.apply(products),
             specular: self.specular.iter().map(|level| level.apply(radiance)).collect(),
             lights,
@@ -159,7 +159,7 @@ impl<'t> Table<'t> {
 }
 
 /// The [`TableOperators`] of one environment.
-pub struct TableLight<'t> {
+pub struct TabulatedEnvironment<'t> {
     /// Transfer `T_j(n)` per colour, (nodes, 3 (L + 1)^2).
     diffuse: Table<'t>,
     /// Prefiltered radiance per level, (nodes, 3).
@@ -167,7 +167,7 @@ pub struct TableLight<'t> {
     lights: Vec<DirectLight<'t>>,
 }
 
-impl<'t> Lighting<'t> for TableLight<'t> {
+impl<'t> Lighting<'t> for TabulatedEnvironment<'t> {
     fn lights(&self) -> Vec<DirectLight<'t>> {
         self.lights.clone()
     }
@@ -181,7 +181,7 @@ impl<'t> Lighting<'t> for TableLight<'t> {
 
     fn transfer(&self, normals: Var<'t>, visibility: Var<'t>) -> Var<'t> {
         let [pixels, used] = [0, 1].map(|i| visibility.value().shape()[i]);
-        assert!(order_of(visibility) <= 8, "visibility beyond degree 8");
+        assert!(sh_degree_of(visibility) <= 8, "visibility beyond degree 8");
         let transfer = self.diffuse.at(normals);
         let coefficients = transfer.value().shape()[1] / 3;
         let transfer = transfer.reshaped(&[pixels, 3, coefficients]).slice(2, 0..used);

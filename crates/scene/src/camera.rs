@@ -27,7 +27,7 @@ pub struct Camera {
 /// Accepted focal lengths, pixels: 179.99999 degrees on one pixel to a thousandth of a second of arc on 8k.
 const FOCAL_LENGTHS: std::ops::RangeInclusive<f64> = 1e-7..=1e13;
 /// Farthest a principal point may lie from the image's corner, pixels.
-const FARTHEST_PRINCIPAL_POINT: f64 = 1e9;
+const MAX_PRINCIPAL_POINT: f64 = 1e9;
 
 /// Why a camera was refused. `field` is the caller's name of the value at fault.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -178,7 +178,7 @@ impl Camera {
             if !value.is_finite() {
                 return Err(CameraError::new(field, "principal point must be finite"));
             }
-            if value.abs() > FARTHEST_PRINCIPAL_POINT {
+            if value.abs() > MAX_PRINCIPAL_POINT {
                 return Err(CameraError::new(
                     field,
                     format!("principal point must be within 1e9 pixels, got {value:e}"),

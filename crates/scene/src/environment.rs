@@ -7,7 +7,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 
-use crate::ColumnTurn;
+use crate::ColumnShift;
 
 /// An equirectangular map of linear Rec.709 radiance, row-major, row 0 at world +Z.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,8 +38,8 @@ pub enum EnvMapError {
         /// Row.
         y: usize,
     },
-    /// A texel is brighter than [`BRIGHTEST`].
-    #[error("environment: texel at column {x}, row {y} is brighter than {BRIGHTEST:e}")]
+    /// A texel is brighter than [`MAX_RADIANCE`].
+    #[error("environment: texel at column {x}, row {y} is brighter than {MAX_RADIANCE:e}")]
     TooBright {
         /// Column.
         x: usize,
@@ -49,7 +49,7 @@ pub enum EnvMapError {
 }
 
 /// Largest accepted radiance: sums over the whole sphere stay finite in f32, with up to 20 stops of exposure.
-pub const BRIGHTEST: f32 = 1e30;
+pub const MAX_RADIANCE: f32 = 1e30;
 
 /// What [`EnvMap::new`] corrected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -63,7 +63,7 @@ impl EnvMap {
     ///
     /// # Errors
     /// [`EnvMapError::Size`] when the lengths disagree, [`EnvMapError::NotFinite`] for NaN or infinity,
-    /// [`EnvMapError::TooBright`] beyond [`BRIGHTEST`].
+    /// [`EnvMapError::TooBright`] beyond [`MAX_RADIANCE`].
     pub fn new(
         width: usize,
         height: usize,
@@ -77,7 +77,7 @@ impl EnvMap {
             if !value.is_finite() {
                 return Err(EnvMapError::NotFinite { x: i % width, y: i / width });
             }
-            if *value > BRIGHTEST {
+            if *value > MAX_RADIANCE {
                 return Err(EnvMapError::TooBright { x: i % width, y: i / width });
             }
             if *value < 0.0 {
@@ -172,7 +172,7 @@ impl EnvMap {
     /// The map rotated about world +Z by `degrees` (counter-clockwise seen from above) and scaled.
     #[must_use]
     pub fn rotated_and_scaled(&self, degrees: f64, gain: f32) -> Self {
-        let turn = ColumnTurn::new(degrees.to_radians(), self.width);
+        let turn = ColumnShift::new(degrees.to_radians(), self.width);
         let mut texels = turn.apply(&self.texels).into_owned();
         texels.iter_mut().flatten().for_each(|v| *v *= gain);
         Self { width: self.width, height: self.height, texels }

@@ -3,9 +3,9 @@
 
 use relume_layout::{Field, FieldWidth};
 
-/// Number of real SH coefficients up to degree `order`.
-pub const fn sh_count(order: usize) -> usize {
-    (order + 1) * (order + 1)
+/// Number of real SH coefficients up to degree `sh_degree`.
+pub const fn sh_count(sh_degree: usize) -> usize {
+    (sh_degree + 1) * (sh_degree + 1)
 }
 
 /// N Gaussians as arrays of raw (pre-activation) parameters, `field(f)[i * width(f) ..][.. width(f)]`.
@@ -13,15 +13,15 @@ pub const fn sh_count(order: usize) -> usize {
 pub struct Gaussians {
     len: usize,
     prototypes: usize,
-    visibility_order: usize,
-    radiance_order: usize,
+    visibility_degree: usize,
+    radiance_degree: usize,
     data: [Vec<f32>; Field::COUNT],
 }
 
 impl Gaussians {
     /// `len` zeroed Gaussians with K = `prototypes`, visibility order L and radiance order d.
-    pub fn zeroed(len: usize, prototypes: usize, visibility_order: usize, radiance_order: usize) -> Self {
-        let mut out = Self { len, prototypes, visibility_order, radiance_order, data: Default::default() };
+    pub fn zeroed(len: usize, prototypes: usize, visibility_degree: usize, radiance_degree: usize) -> Self {
+        let mut out = Self { len, prototypes, visibility_degree, radiance_degree, data: Default::default() };
         for field in Field::ALL {
             out.data[field as usize] = vec![0.0; len * out.width(field)];
         }
@@ -44,13 +44,13 @@ impl Gaussians {
     }
 
     /// Highest SH degree of the visibility field.
-    pub fn visibility_order(&self) -> usize {
-        self.visibility_order
+    pub fn visibility_degree(&self) -> usize {
+        self.visibility_degree
     }
 
     /// Highest SH degree of the radiance branch.
-    pub fn radiance_order(&self) -> usize {
-        self.radiance_order
+    pub fn radiance_degree(&self) -> usize {
+        self.radiance_degree
     }
 
     /// Floats a Gaussian has in `field`.
@@ -58,8 +58,8 @@ impl Gaussians {
         match field.width() {
             FieldWidth::Fixed(floats) => floats,
             FieldWidth::Prototypes => self.prototypes,
-            FieldWidth::Visibility => sh_count(self.visibility_order),
-            FieldWidth::Radiance => 3 * sh_count(self.radiance_order),
+            FieldWidth::Visibility => sh_count(self.visibility_degree),
+            FieldWidth::Radiance => 3 * sh_count(self.radiance_degree),
         }
     }
 
@@ -109,11 +109,11 @@ impl Gaussians {
         out
     }
 
-    /// The same with other coefficients of radiance, of degree `order`: `3 (order + 1)^2` a Gaussian, zeros where
+    /// The same with other coefficients of radiance, of degree `sh_degree`: `3 (sh_degree + 1)^2` a Gaussian, zeros where
     /// `coefficients` has fewer.
     #[must_use]
-    pub fn with_radiance(mut self, order: usize, mut coefficients: Vec<f32>) -> Self {
-        self.radiance_order = order;
+    pub fn with_radiance(mut self, sh_degree: usize, mut coefficients: Vec<f32>) -> Self {
+        self.radiance_degree = sh_degree;
         coefficients.resize(self.len * self.width(Field::Radiance), 0.0);
         self.data[Field::Radiance as usize] = coefficients;
         self

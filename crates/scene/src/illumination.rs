@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use crate::column_turn::ColumnTurn;
+use crate::column_shift::ColumnShift;
 use crate::light::luminance;
 use crate::{EnvMap, LightSplit, MAX_LIGHTS, SplitLight};
 
@@ -55,7 +55,7 @@ impl From<&Self> for Illumination {
 
 /// The split of `map` once it is rotated: each light's radiance moves along the columns as the map's does.
 fn rotated(split: &LightSplit, map: &EnvMap, degrees: f64) -> LightSplit {
-    let turn = ColumnTurn::new(degrees.to_radians(), map.width());
+    let turn = ColumnShift::new(degrees.to_radians(), map.width());
     if split.is_empty() || turn.is_none() {
         return split.clone();
     }

@@ -1,7 +1,7 @@
 //! The data of a relightable model: Gaussians, materials, environment, camera, images. No GPU, no input or output.
 
 mod camera;
-mod column_turn;
+mod column_shift;
 mod environment;
 mod gaussians;
 mod illumination;
@@ -13,9 +13,9 @@ mod packed_image;
 pub mod srgb;
 
 pub use camera::{Camera, CameraError};
-pub use column_turn::ColumnTurn;
+pub use column_shift::ColumnShift;
 pub use environment::{
-    BRIGHTEST, EnvMap, EnvMapError, EnvMapStats, direction_to_uv, texel_directions, uv_to_direction,
+    EnvMap, EnvMapError, EnvMapStats, MAX_RADIANCE, direction_to_uv, texel_directions, uv_to_direction,
 };
 pub use gaussians::{Gaussians, sh_count};
 pub use illumination::Illumination;

@@ -236,12 +236,12 @@ impl Model {
 }
 
 /// Largest magnitude of a parameter in a file: its square, and sums of many, stay finite in f32.
-const LARGEST_VALUE: f32 = 1e18;
+const MAX_VALUE: f32 = 1e18;
 
 fn check_values(field: &'static str, values: &[f32]) -> Result<(), ModelError> {
     let err = |reason: String| Err(ModelError { field, reason });
-    match values.iter().position(|v| !(v.abs() <= LARGEST_VALUE)) {
-        Some(at) if values[at].is_finite() => err(format!("value {at} is beyond {LARGEST_VALUE:e}")),
+    match values.iter().position(|v| !(v.abs() <= MAX_VALUE)) {
+        Some(at) if values[at].is_finite() => err(format!("value {at} is beyond {MAX_VALUE:e}")),
         Some(at) => err(format!("value {at} is not finite")),
         None => Ok(()),
     }

@@ -27,7 +27,7 @@ pub fn to_u8(x: f32) -> u8 {
 /// Bits of an f32 that a bucket's numbers differ in.
 const WITHIN: u32 = 16;
 /// Below this all is level 0.
-const LEAST: f32 = 1.0 / 8192.0;
+const MIN_BUCKETED: f32 = 1.0 / 8192.0;
 
 /// The numbers that share their leading bits: what is below `border` has the level, the others the next one.
 #[derive(Debug, Clone, Copy)]
@@ -36,10 +36,10 @@ struct Bucket {
     level: u8,
 }
 
-/// Buckets of [`LEAST`] to 1, each so narrow that it holds no more than one border of two levels.
+/// Buckets of [`MIN_BUCKETED`] to 1, each so narrow that it holds no more than one border of two levels.
 static BUCKETS: LazyLock<Vec<Bucket>> = LazyLock::new(|| {
     let level = |x: f32| to_u8(encode(x));
-    let buckets = (LEAST.to_bits() >> WITHIN)..(1.0f32.to_bits() >> WITHIN);
+    let buckets = (MIN_BUCKETED.to_bits() >> WITHIN)..(1.0f32.to_bits() >> WITHIN);
     let bucket = |leading: u32| {
         let (first, end) = (leading << WITHIN, (leading + 1) << WITHIN);
         let below = level(f32::from_bits(first));
@@ -56,10 +56,10 @@ static BUCKETS: LazyLock<Vec<Bucket>> = LazyLock::new(|| {
 /// Linear light to the nearest of 256 sRGB-encoded levels: [`to_u8`] of [`encode`] without a power.
 #[inline]
 pub fn encode_u8(linear: f32) -> u8 {
-    if !(linear >= LEAST) {
+    if !(linear >= MIN_BUCKETED) {
         return 0;
     }
-    match BUCKETS.get(((linear.to_bits() - LEAST.to_bits()) >> WITHIN) as usize) {
+    match BUCKETS.get(((linear.to_bits() - MIN_BUCKETED.to_bits()) >> WITHIN) as usize) {
         Some(bucket) => bucket.level + u8::from(linear >= bucket.border),
         None => u8::MAX,
     }

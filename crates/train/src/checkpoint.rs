@@ -8,7 +8,7 @@ use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 
 use crate::complexity::state::ComplexityState;
-use crate::crop::{CutOut, Region, SILHOUETTE};
+use crate::crop::{Region, SILHOUETTE, SubjectCrop};
 use crate::dataset::Gain;
 use crate::error::TrainError;
 use crate::state::ScheduleState;
@@ -143,7 +143,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
     let moments = |prefix: &str| -> Result<Gaussians, TrainError> {
         let g = &model.gaussians;
         let name = |field: Field| format!("{prefix}.{}", field.name());
-        let mut out = Gaussians::zeroed(n, g.prototypes(), g.visibility_order(), g.radiance_order());
+        let mut out = Gaussians::zeroed(n, g.prototypes(), g.visibility_degree(), g.radiance_degree());
         // Checkpoints of models without sheen have no moments of it.
         let is_there = |field: Field| field != Field::Sheen || file.tensor(&name(field)).is_ok();
         for (field, _, data) in out.fields_mut().filter(|(field, ..)| is_there(*field)) {
@@ -171,7 +171,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         arriving: arriving.as_chunks::<MAX_LIGHTS>().0.to_vec(),
         model,
     };
-    let cut = |(region, gaussians): (Region, usize)| -> Result<Arc<CutOut>, TrainError> {
+    let cut = |(region, gaussians): (Region, usize)| -> Result<Arc<SubjectCrop>, TrainError> {
         // Sizes are checked against the file's length before memory is allocated for them.
         if gaussians.saturating_mul(3 * 4) > bytes.len() {
             return Err(bad("cut", "names more Gaussians than the file holds"));
@@ -181,7 +181,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
             let data = silhouette.field_mut(field);
             data.copy_from_slice(&read(&cut_key(field), data.len())?);
         }
-        Ok(Arc::new(CutOut { region, gaussians: silhouette }))
+        Ok(Arc::new(SubjectCrop { region, gaussians: silhouette }))
     };
     let schedule = ScheduleState {
         step: header.step,

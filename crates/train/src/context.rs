@@ -2,7 +2,7 @@
 
 use crate::schedule;
 use relume_engine::cpu::evaluation;
-use relume_engine::{Branches, LightTurns, Photo, TrainState};
+use relume_engine::{Branches, LightRotations, Photo, TrainState};
 use relume_scene::light::EnvOperators;
 use relume_spec::training::TrainConfig;
 
@@ -14,7 +14,7 @@ pub struct StepContext<'a> {
     /// Operators of the training environment.
     pub operators: &'a EnvOperators,
     /// Turns of the photographs' light.
-    pub turns: &'a LightTurns,
+    pub rotations: &'a LightRotations,
     /// Display-referred background.
     pub background: [f32; 3],
     /// Whether the capture has masks.

@@ -4,7 +4,7 @@ use relume_capture::CaptureError;
 use relume_engine::DeviceError;
 
 /// Roll-backs in a row after which the optimisation is given up.
-pub(super) const MOST_ROLLBACKS: u32 = 6;
+pub(super) const MAX_ROLLBACKS: u32 = 6;
 
 /// Why a training cannot start or go on.
 #[derive(Debug, thiserror::Error)]
@@ -22,7 +22,7 @@ pub enum TrainError {
     #[error("checkpoint: {0}")]
     Checkpoint(String),
     /// Loss or gradients stayed non-finite through every roll-back.
-    #[error("optimisation diverged at step {step}: still not finite after {MOST_ROLLBACKS} roll-backs")]
+    #[error("optimisation diverged at step {step}: still not finite after {MAX_ROLLBACKS} roll-backs")]
     Diverged {
         /// The step that could not be passed.
         step: u32,

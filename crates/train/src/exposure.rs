@@ -15,35 +15,36 @@ use relume_scene::Plane;
 /// Longest side of the images that are compared, pixels.
 const SIDE: u32 = 96;
 /// Display-referred values that tell a ratio: neither noise nor clipped.
-const TELLING: (f32, f32) = (0.06, 0.94);
+const INFORMATIVE_RANGE: (f32, f32) = (0.06, 0.94);
 /// Mask above which a pixel shows the subject alone.
-const WHOLE: f32 = 0.95;
+const MIN_FULL_MASK: f32 = 0.95;
 /// Fewest pixels that tell a gain.
-const LEAST_PIXELS: usize = 50;
+const MIN_PIXELS: usize = 50;
 /// Standard deviation over the photographs, of `ln(gain)` in green or of that of red or blue over green, from which gains
 /// count. Scenes under one exposure stay below it (docs/decisions/0032).
-const LEAST_SPREAD: f32 = 0.045;
+const MIN_GAIN_SPREAD: f32 = 0.045;
 /// Largest `|ln(gain)|` that is believed.
-const MOST: f32 = 1.0;
+const MAX_LOG_GAIN: f32 = 1.0;
 
 /// Gains of the photographs of `data`, of geometric mean 1, by how much they differ from what the physically based branch shows.
 pub fn gains(state: &TrainState, context: &StepContext<'_>, data: &Dataset) -> Vec<Gain> {
     let logs: Vec<[f32; 3]> = (0..data.len())
         .into_par_iter()
         .map(|i| {
-            let small = reduced(&data.look(i, PhotoSize::Full));
+            let small = reduced(&data.decode_uncached(i, PhotoSize::Full));
             median_ratio(&small, &context.physical_image(state, &small))
         })
         .collect();
     let n = logs.len().max(1) as f32;
     let mean: [f32; 3] = std::array::from_fn(|c| logs.iter().map(|l| l[c]).sum::<f32>() / n);
-    let gain = |l: &[f32; 3]| std::array::from_fn(|c| (l[c] - mean[c]).clamp(-MOST, MOST).exp());
+    let gain =
+        |l: &[f32; 3]| std::array::from_fn(|c| (l[c] - mean[c]).clamp(-MAX_LOG_GAIN, MAX_LOG_GAIN).exp());
     logs.iter().map(gain).collect()
 }
 
 /// True when `gains` differ by more than those of photographs under one exposure would.
 pub fn differ(gains: &[Gain]) -> bool {
-    spread(gains).iter().any(|spread| *spread > LEAST_SPREAD)
+    spread(gains).iter().any(|spread| *spread > MIN_GAIN_SPREAD)
 }
 
 /// Standard deviations of the logarithms of green, and of red and blue over green.
@@ -74,12 +75,12 @@ fn reduced(photo: &Photo) -> Photo {
 
 /// Median of `ln(photograph / image)` by channel, in linear light; 0 where too few pixels tell.
 fn median_ratio(photo: &Photo, image: &[[f32; 3]]) -> [f32; 3] {
-    let tells = |v: &f32| (TELLING.0..=TELLING.1).contains(v);
-    let whole = |i: usize| photo.alpha.get(i).is_none_or(|a| *a > WHOLE);
+    let tells = |v: &f32| (INFORMATIVE_RANGE.0..=INFORMATIVE_RANGE.1).contains(v);
+    let whole = |i: usize| photo.alpha.get(i).is_none_or(|a| *a > MIN_FULL_MASK);
     let used: Vec<usize> = (0..image.len())
         .filter(|i| whole(*i) && photo.pixels[*i].iter().chain(&image[*i]).all(tells))
         .collect();
-    if used.len() < LEAST_PIXELS {
+    if used.len() < MIN_PIXELS {
         return [0.0; 3];
     }
     std::array::from_fn(|c| {
@@ -130,7 +131,7 @@ mod tests {
     #[test]
     fn too_few_usable_pixels_give_no_gain() {
         let mut dark = photo(false);
-        dark.pixels.iter_mut().skip(LEAST_PIXELS - 1).for_each(|p| *p = [0.01; 3]);
+        dark.pixels.iter_mut().skip(MIN_PIXELS - 1).for_each(|p| *p = [0.01; 3]);
         let brighter: Vec<[f32; 3]> = dark.pixels.iter().map(|p| p.map(|v| v * 0.9)).collect();
         assert_eq!(median_ratio(&dark, &brighter), [0.0; 3]);
         assert!(

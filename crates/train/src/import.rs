@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use crate::TrainError;
-use crate::memory::{self, PhotographSizes, Room};
-use relume_capture::{Capture, ImportLimits, ImportOptions, Undecoded};
+use crate::memory::{self, MemoryBudget, PhotographSizes};
+use relume_capture::{Capture, ImportLimits, ImportOptions, UndecodedCapture};
 use relume_spec::training::TrainConfig;
 
 /// A capture at the resolution it will be trained at, without ground truth, so that memory holds no pixel in vain; with
@@ -12,20 +12,20 @@ use relume_spec::training::TrainConfig;
 ///
 /// # Errors
 /// [`TrainError::Capture`]: what the importer refuses, by file and field; a turn of the light of no photograph; a grey card that
-/// cannot be measured. [`TrainError::Memory`] where `room` has too little memory, by the sizes in the headers and one decoded
+/// cannot be measured. [`TrainError::Memory`] where `budget` has too little memory, by the sizes in the headers and one decoded
 /// photograph; after the import by all of them.
 pub fn import_for_training(
     path: &Path,
     config: &TrainConfig,
     limits: &ImportLimits,
-    room: Room,
+    budget: MemoryBudget,
 ) -> Result<Capture, TrainError> {
     let options = ImportOptions { max_side: Some(config.resolution), limits: *limits, load_truth: false };
-    let undecoded = Undecoded::open(path, &options)?;
-    memory::check(&PhotographSizes::undecoded(&undecoded)?, config, room)?;
+    let undecoded = UndecodedCapture::open(path, &options)?;
+    memory::check(&PhotographSizes::undecoded(&undecoded)?, config, budget)?;
     let mut capture = undecoded.decode()?;
-    memory::check(&PhotographSizes::of(&capture), config, room)?;
-    capture.turn_lights(&config.light_rotation_per_photo)?;
+    memory::check(&PhotographSizes::of(&capture), config, budget)?;
+    capture.set_light_rotations(&config.light_rotation_per_photo)?;
     if let Some(card) = &config.grey_card {
         capture.measure_grey_card(path, card, limits)?;
     }
@@ -80,7 +80,8 @@ mod tests {
     fn grey_card_measured_at_import_sets_the_white_balance() {
         let (file, config) = (capture_with_a_card(), config("train_001/rgba.png", 20));
         let mut capture =
-            import_for_training(file.path(), &config, &ImportLimits::default(), Room::unbounded()).unwrap();
+            import_for_training(file.path(), &config, &ImportLimits::default(), MemoryBudget::unbounded())
+                .unwrap();
         let colour = capture.grey_card.unwrap();
         assert!((0..3).all(|c| (colour[c] - CARD[c]).abs() < 5e-3), "{colour:?}");
         let trained = |config: &TrainConfig, capture: &Capture| {
@@ -118,7 +119,7 @@ mod tests {
                 file.path(),
                 &config(photo, x),
                 &ImportLimits::default(),
-                Room::unbounded(),
+                MemoryBudget::unbounded(),
             );
             let Err(TrainError::Capture(error)) = imported else { panic!("must be refused: {imported:?}") };
             assert_eq!((error.file(), error.field()), (Some(photo), Some(field)), "{error}");
@@ -129,8 +130,8 @@ mod tests {
     fn capture_exceeding_memory_is_refused_before_decoding() {
         let (file, config) = (capture_with_a_card(), config("train_001/rgba.png", 20));
         let import = |available| {
-            let room = Room { on_device: false, available: Some(available) };
-            import_for_training(file.path(), &config, &ImportLimits::default(), room)
+            let budget = MemoryBudget { on_device: false, available: Some(available) };
+            import_for_training(file.path(), &config, &ImportLimits::default(), budget)
         };
         let refused = import(1000);
         let Err(TrainError::Memory(why)) = &refused else { panic!("must be refused: {refused:?}") };

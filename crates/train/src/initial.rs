@@ -45,7 +45,7 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
         gaussians.row_mut(Field::LogScale, i).fill(spacing.clamp(1e-4, 1.0).ln());
         gaussians.row_mut(Field::Quaternion, i)[0] = 1.0;
         gaussians.row_mut(Field::OpacityLogit, i)[0] = logit(OPACITY);
-        gaussians.row_mut(Field::Visibility, i)[0] = relume_scene::light::FULLY_OPEN;
+        gaussians.row_mut(Field::Visibility, i)[0] = relume_scene::light::UNOCCLUDED_SH0;
         for (s, c) in gaussians.row_mut(Field::Radiance, i).iter_mut().zip(colour) {
             *s = (c - 0.5) / 0.282_094_8;
         }
@@ -95,7 +95,7 @@ pub fn colour_from_above(model: &Model) -> LightColour {
 /// The environment that training starts from, before the softplus: the light of the photographs if it is known.
 fn first_light(capture: &Capture, config: &TrainConfig) -> Vec<[f32; 3]> {
     let rows = config.environment_rows as usize;
-    let (Some(map), Some(light)) = (&capture.lit_by, &config.light) else {
+    let (Some(map), Some(light)) = (&capture.measured_light, &config.light) else {
         return vec![[softplus_inverse(FIRST_LIGHT); 3]; 2 * rows * rows];
     };
     applied(light, map).resampled(2 * rows, rows).texels().iter().map(|t| t.map(softplus_inverse)).collect()
@@ -103,8 +103,10 @@ fn first_light(capture: &Capture, config: &TrainConfig) -> Vec<[f32; 3]> {
 
 /// The strong small lights of a light that is known.
 fn known_lights(capture: &Capture, data: &Dataset, config: &TrainConfig) -> LightSplit {
-    let (Some(map), Some(light)) = (&capture.lit_by, &config.light) else { return LightSplit::default() };
-    if config.lights == 0 || !config.shading.shades_lights() || !data.turns.stand_still() {
+    let (Some(map), Some(light)) = (&capture.measured_light, &config.light) else {
+        return LightSplit::default();
+    };
+    if config.lights == 0 || !config.shading.shades_lights() || !data.rotations.is_static() {
         return LightSplit::default();
     }
     let rows = config.environment_rows as usize;
@@ -154,7 +156,7 @@ fn seeds_along_rays(data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng) -> Vec<
         seeds.push((position.as_vec3().to_array(), [0.0; 3]));
         behind[index].push((seed, y as usize * camera.width as usize + x as usize));
     }
-    data.walk(PhotoSize::Half, |index, photo| {
+    data.for_each_photo(PhotoSize::Half, |index, photo| {
         behind[index].iter().for_each(|(seed, pixel)| seeds[*seed].1 = photo.pixels[*pixel]);
     });
     seeds
@@ -175,7 +177,7 @@ fn pixel_of(photo: &Photo, p: [f32; 3]) -> Option<usize> {
 /// Gives each seed the mean colour of the photographs' pixels over it.
 fn show_mean_colours(data: &Dataset, seeds: &mut [Seed]) {
     let mut sums = vec![([0.0f32; 3], 0.0f32); seeds.len()];
-    data.walk(PhotoSize::Half, |_, photo| {
+    data.for_each_photo(PhotoSize::Half, |_, photo| {
         for ((sum, n), (p, _)) in sums.iter_mut().zip(seeds.iter()) {
             if let Some(i) = pixel_of(photo, *p) {
                 (0..3).for_each(|k| sum[k] += photo.pixels[i][k]);
@@ -198,7 +200,7 @@ fn hull_surface(data: &Dataset) -> Vec<[f32; 3]> {
     };
     // How many photographs see each voxel, and how many of them show nothing there.
     let mut counts = vec![[0u32; 2]; n * n * n];
-    data.walk(PhotoSize::Half, |_, photo| {
+    data.for_each_photo(PhotoSize::Half, |_, photo| {
         counts.par_iter_mut().with_min_len(4096).enumerate().for_each(|(i, [seen, missed])| {
             if let Some(pixel) = pixel_of(photo, centre(i)) {
                 *seen += 1;

@@ -4,23 +4,23 @@ use relume_capture::Capture;
 use relume_engine::upward_share;
 use relume_scene::light::{UPWARD_LUMINANCE, luminance};
 use relume_scene::{EnvMap, texel_directions};
-use relume_spec::training::{Auto, KnownLight, LightExposure, MOST_STOPS};
+use relume_spec::training::{Auto, KnownLight, LightExposure, MAX_STOPS};
 
 /// Distance from the usual level beyond which a map is likely on another scale than the photographs, stops.
-const MOST_OFFSET: f64 = 1.0;
+const MAX_EXPOSURE_OFFSET: f64 = 1.0;
 
 /// Gives `capture` the measured map, with a warning if it is likely on another scale than the photographs.
 pub fn illuminate(light: &KnownLight, capture: &mut Capture, map: EnvMap) {
     if let LightExposure::Stops(ev) = light.exposure_ev {
         let off = level(&map).log2() + ev;
-        if off.abs() > MOST_OFFSET {
+        if off.abs() > MAX_EXPOSURE_OFFSET {
             capture.warnings.push(format!(
                 "light: under it a white surface facing up is {off:+.1} stops from where photographs show it; a map on another scale \
                  than the photographs spoils albedo (exposure \"auto\" assumes 0)"
             ));
         }
     }
-    capture.lit_by = Some(map);
+    capture.measured_light = Some(map);
 }
 
 /// `map` at the rotation and exposure of the photographs.
@@ -28,7 +28,7 @@ pub(crate) fn applied(light: &KnownLight, map: &EnvMap) -> EnvMap {
     let gain = match light.exposure_ev {
         LightExposure::Stops(ev) => ev.exp2(),
         // At most the largest exposure in stops: a map that is dark above stays finite.
-        LightExposure::Unknown(Auto::Auto) => level(map).recip().min(MOST_STOPS.exp2()),
+        LightExposure::Unknown(Auto::Auto) => level(map).recip().min(MAX_STOPS.exp2()),
     };
     map.rotated_and_scaled(light.rotation_deg, gain as f32)
 }

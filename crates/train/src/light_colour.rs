@@ -13,9 +13,9 @@ use relume_scene::{Field, Gaussians};
 /// Y_00, and the factor of the components of a direction in Y_1m.
 const BANDS: [f32; 2] = [0.282_094_8, 0.488_602_5];
 /// Display-referred channels that are near neither black nor white, where colours are bent.
-const UNBENT: (f32, f32) = (0.04, 0.97);
+const LINEAR_RANGE: (f32, f32) = (0.04, 0.97);
 /// Largest distance from the centre of the scene, in its radii: what is farther away is not lit as the subject is.
-const SUBJECT: f32 = 1.0;
+const SUBJECT_RADIUS: f32 = 1.0;
 /// `ln(blue / red)` of the light is the first plus the others times that of the meeting colour and of the mean change. Both
 /// are too warm, since blurred edges and wrong shapes mix colours of things into the change. Fitted to 31 pairs of a scene and
 /// a light (docs/decisions/0009).
@@ -23,9 +23,9 @@ const BLUE_OVER_RED: [f32; 3] = [0.59, 0.66, 0.40];
 /// The same for `ln(green^2 / (red blue))`.
 const GREEN: [f32; 3] = [-0.07, 0.80, 0.0];
 /// Lights beyond these logarithms are not believed.
-const MOST: LightColour = LightColour { blue_over_red: 1.5, green: 0.9 };
+const MAX_LIGHT_COLOUR: LightColour = LightColour { blue_over_red: 1.5, green: 0.9 };
 /// Least share of the subject's weight that has to have colours to tell from.
-const LEAST_SHARE: f64 = 0.05;
+const MIN_WEIGHT_SHARE: f64 = 0.05;
 
 /// The estimated colour of the light of the photographs; that of a neutral one where the radiance branch does not change
 /// with the view.
@@ -44,22 +44,27 @@ pub fn estimate(g: &Gaussians) -> LightColour {
         }
     }
     let change = DVec3::from_array(change.to_array().map(f64::sqrt));
-    if !(told > LEAST_SHARE * all && change.min_element() > 1e-9) {
+    if !(told > MIN_WEIGHT_SHARE * all && change.min_element() > 1e-9) {
         return LightColour::NEUTRAL;
     }
     let of = |v: DVec3| LightColour::of(v.to_array().map(|c| c.max(1e-3 * v.max_element()) as f32));
     let (meeting, change) = (of(least_axis(planes)), of(change));
     let fit = |k: [f32; 3], a: f32, b: f32, most: f32| (k[0] + k[1] * a + k[2] * b).clamp(-most, most);
     LightColour {
-        blue_over_red: fit(BLUE_OVER_RED, meeting.blue_over_red, change.blue_over_red, MOST.blue_over_red),
-        green: fit(GREEN, meeting.green, change.green, MOST.green),
+        blue_over_red: fit(
+            BLUE_OVER_RED,
+            meeting.blue_over_red,
+            change.blue_over_red,
+            MAX_LIGHT_COLOUR.blue_over_red,
+        ),
+        green: fit(GREEN, meeting.green, change.green, MAX_LIGHT_COLOUR.green),
     }
 }
 
 /// Opacity times area of Gaussian `i`, 0 outside of the subject.
 fn weight(g: &Gaussians, i: usize) -> f64 {
     let mean: [f32; 3] = g.get(Field::Mean, i);
-    if mean.iter().map(|v| v * v).sum::<f32>() > SUBJECT * SUBJECT {
+    if mean.iter().map(|v| v * v).sum::<f32>() > SUBJECT_RADIUS * SUBJECT_RADIUS {
         return 0.0;
     }
     let s: [f32; 3] = g.get(Field::LogScale, i);
@@ -72,7 +77,7 @@ fn weight(g: &Gaussians, i: usize) -> f64 {
 fn colours(g: &Gaussians, i: usize) -> Option<(DVec3, [DVec3; 3])> {
     let radiance = g.row(Field::Radiance, i).as_chunks::<3>().0;
     let display: [f32; 3] = std::array::from_fn(|c| 0.5 + BANDS[0] * radiance[0][c]);
-    if radiance.len() < 4 || !display.iter().all(|v| (UNBENT.0..=UNBENT.1).contains(v)) {
+    if radiance.len() < 4 || !display.iter().all(|v| (LINEAR_RANGE.0..=LINEAR_RANGE.1).contains(v)) {
         return None;
     }
     let linear = |at: [f32; 3]| DVec3::from_array(at.map(|v| f64::from(linear_from_srgb(v))));

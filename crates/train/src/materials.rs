@@ -1,7 +1,7 @@
 //! First values and restarts of the materials: albedo from the colours of the radiance branch, with the shading divided out.
 
 use relume_engine::cpu::{evaluation, linear_from_srgb, sigmoid};
-use relume_engine::{LightTurns, TrainState};
+use relume_engine::{LightRotations, TrainState};
 use relume_scene::light::{EnvOperators, LightColour, UPWARD_LUMINANCE};
 use relume_scene::{Field, Gaussians};
 
@@ -13,7 +13,7 @@ const FIRST_SHARPNESS: f32 = 2.0;
 /// The same at a restart, with the shading divided out.
 const SHARPNESS: f32 = 60.0;
 /// Least irradiance that a colour is divided by.
-const LEAST_IRRADIANCE: f32 = 0.3;
+const MIN_IRRADIANCE: f32 = 0.3;
 /// Range of a first albedo.
 const RANGE: (f32, f32) = (0.02, 0.95);
 /// First metalness: most surfaces are dielectrics, and under a wrong light a highlight looks like metal.
@@ -47,7 +47,7 @@ pub fn initialise(state: &mut TrainState, light: LightColour) {
 }
 
 /// Restarts the materials from colours with the shading divided out: `albedo = colour pi / E`, `E` the irradiance of each
-/// Gaussian through its visibility plus what is gathered, over the `turns` of the light. `normals` are the outward ones of
+/// Gaussian through its visibility plus what is gathered, over the `rotations` of the light. `normals` are the outward ones of
 /// the measured visibility. Metalness and roughness, which a wrong light distorts, restart from their first values.
 ///
 /// Light and albedo can explain the same shading, and gradient steps resolve this slowly; a restart acts like a step of
@@ -55,13 +55,13 @@ pub fn initialise(state: &mut TrainState, light: LightColour) {
 pub fn restart_albedo(
     state: &mut TrainState,
     operators: &EnvOperators,
-    turns: &LightTurns,
+    rotations: &LightRotations,
     normals: &[[f32; 3]],
 ) {
-    let irradiance = evaluation::irradiance(state, operators, turns, normals);
+    let irradiance = evaluation::irradiance(state, operators, rotations, normals);
     let albedo = |(i, irradiance): (usize, &[f32; 3])| -> [f32; 3] {
         let colour = colour(&state.model.gaussians, i);
-        std::array::from_fn(|c| colour[c] * std::f32::consts::PI / irradiance[c].max(LEAST_IRRADIANCE))
+        std::array::from_fn(|c| colour[c] * std::f32::consts::PI / irradiance[c].max(MIN_IRRADIANCE))
     };
     let albedos: Vec<[f32; 3]> = irradiance.iter().enumerate().map(albedo).collect();
     restart(state, &albedos, SHARPNESS);
@@ -156,8 +156,8 @@ mod tests {
         ball_under([0.0, 0.0, 0.8], &[0.0])
     }
 
-    /// The same under a sky of 1 + slope . d, photographed under it turned by each of `turns`, radians.
-    fn ball_under(slope: [f32; 3], turns: &[f64]) -> (TrainState, EnvOperators, Vec<[f32; 3]>) {
+    /// The same under a sky of 1 + slope . d, photographed under it turned by each of `rotations`, radians.
+    fn ball_under(slope: [f32; 3], rotations: &[f64]) -> (TrainState, EnvOperators, Vec<[f32; 3]>) {
         let config = TrainConfig::preset(Preset::Draft);
         let normals = fibonacci_sphere(200);
         let (rows, columns) = (8, 16);
@@ -187,8 +187,8 @@ mod tests {
             };
             let radiance = model.gaussians.row_mut(Field::Radiance, i);
             for (r, albedo) in radiance.iter_mut().zip(COLOURS[i % 2]) {
-                let shown = turns.iter().map(|turn| srgb(albedo * light(turn))).sum::<f32>();
-                *r = (shown / turns.len() as f32 - 0.5) / 0.282_094_8;
+                let shown = rotations.iter().map(|turn| srgb(albedo * light(turn))).sum::<f32>();
+                *r = (shown / rotations.len() as f32 - 0.5) / 0.282_094_8;
             }
         }
         (TrainState::new(model), EnvOperators::new(columns, rows, 0, TableResolution::TRAINING), normals)
@@ -217,7 +217,7 @@ mod tests {
         assert!(control.is_finite() && control > 0.1, "the control: colours as they are, {control}");
         state.model.gaussians.field_mut(Field::Residual).fill(0.05);
         state.moments.second.field_mut(Field::ProtoLogits).fill(1.0);
-        restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
+        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals);
         assert!(albedo_error(&state) < 0.01, "{}", albedo_error(&state));
         assert!(state.moments.second.field(Field::ProtoLogits).iter().all(|m| *m == 0.0));
     }
@@ -227,9 +227,9 @@ mod tests {
         let degrees = [0.0, 90.0];
         let radians = degrees.map(f64::to_radians);
         let (mut state, operators, normals) = ball_under([0.9, 0.0, 0.0], &radians);
-        restart_albedo(&mut state, &operators, &LightTurns::of(&degrees).0, &normals);
+        restart_albedo(&mut state, &operators, &LightRotations::of(&degrees).0, &normals);
         assert!(albedo_error(&state) < 0.015, "{}", albedo_error(&state));
-        restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
+        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals);
         let control = albedo_error(&state);
         assert!(control.is_finite() && control > 0.02, "the control: as if the light stood still, {control}");
     }
@@ -253,7 +253,7 @@ mod tests {
             state.model.gaussians.field_mut(field).fill(4.0);
             state.moments.first.field_mut(field).fill(1.0);
         }
-        restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
+        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals);
         for (field, start) in [(Field::MetalLogit, METALNESS), (Field::RoughLogit, ROUGHNESS)] {
             let values = state.model.gaussians.field(field);
             assert!(values.iter().all(|v| (sigmoid(*v) - start).abs() < 1e-6), "{field:?}: {}", values[0]);
@@ -266,7 +266,7 @@ mod tests {
         let (mut state, operators, normals) = shaded_ball();
         state.model.env_raw.fill([softplus_inverse(1e-6); 3]);
         state.model.gaussians.field_mut(Field::Radiance).fill(10.0);
-        restart_albedo(&mut state, &operators, &LightTurns::default(), &normals);
+        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals);
         assert!(state.model.prototypes.iter().flatten().all(|v| (RANGE.0..=RANGE.1).contains(v)));
         assert!(state.model.check().is_ok());
     }

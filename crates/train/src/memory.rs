@@ -4,8 +4,8 @@ use std::fmt::{self, Display, Formatter};
 
 use crate::TrainError;
 use crate::dataset::cache_bytes;
-use crate::room::{available_memory, whole_memory};
-use relume_capture::{Capture, CaptureError, ImportOptions, Undecoded};
+use crate::system_memory::{available_memory, total_memory};
+use relume_capture::{Capture, CaptureError, ImportOptions, UndecodedCapture};
 use relume_engine::{Branches, Device};
 use relume_scene::{Field, Gaussians};
 use relume_spec::training::TrainConfig;
@@ -19,14 +19,14 @@ const IMAGES_PIXEL: u64 = 200;
 
 /// Where a training is to run, and what memory is left there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Room {
+pub struct MemoryBudget {
     /// Whether Gaussians and images are in the memory of a device.
     pub on_device: bool,
     /// Bytes of the host's memory; `None` where that is not known, and then nothing is refused.
     pub available: Option<u64>,
 }
 
-impl Room {
+impl MemoryBudget {
     /// What this machine has left for a training on `device`.
     pub fn beside(device: &Device) -> Self {
         Self { on_device: device.is_gpu(), available: available_memory() }
@@ -34,7 +34,7 @@ impl Room {
 
     /// All that this machine has, for a training on `device` that may wait for what others hold.
     pub fn of_machine(device: &Device) -> Self {
-        Self { on_device: device.is_gpu(), available: whole_memory() }
+        Self { on_device: device.is_gpu(), available: total_memory() }
     }
 
     /// All that is needed.
@@ -59,7 +59,7 @@ impl PhotographSizes {
     ///
     /// # Errors
     /// What is wrong with one of these.
-    pub fn undecoded(capture: &Undecoded) -> Result<Self, CaptureError> {
+    pub fn undecoded(capture: &UndecodedCapture) -> Result<Self, CaptureError> {
         let (sizes, bytes_a_pixel) = (capture.sizes().to_vec(), capture.bytes_a_pixel()?);
         Ok(Self { sizes, bytes_a_pixel, held_out: capture.held_out() })
     }
@@ -82,7 +82,7 @@ impl PhotographSizes {
 
 /// Bytes that a training takes at least.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct MemoryNeed {
+pub struct MemoryEstimate {
     /// Photographs, held-out ones too.
     pub photographs: usize,
     /// Width and height of the largest of them, pixels.
@@ -103,7 +103,7 @@ pub struct MemoryNeed {
     pub on_device: bool,
 }
 
-impl MemoryNeed {
+impl MemoryEstimate {
     /// What a training with `config` takes on these photographs.
     pub fn of(photographs: &PhotographSizes, config: &TrainConfig, on_device: bool) -> Self {
         let sizes = &photographs.sizes;
@@ -140,7 +140,7 @@ impl MemoryNeed {
 
 /// E.g. `2000 photographs of up to 1600x1200 11.52 GB, to train on 10.08 GB, decoded ones 0.54 GB, 8000 Gaussians 0.02 GB, images of
 /// a step 0.63 GB: at least 11.52 GB`.
-impl Display for MemoryNeed {
+impl Display for MemoryEstimate {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let (width, height) = self.largest;
         write!(
@@ -193,21 +193,27 @@ fn gb(bytes: u64) -> String {
 ///
 /// # Errors
 /// [`TrainError::Memory`] names the setting at fault, all numbers, and the largest value that would fit.
-pub fn check(photographs: &PhotographSizes, config: &TrainConfig, room: Room) -> Result<(), TrainError> {
-    let need = MemoryNeed::of(photographs, config, room.on_device);
-    let Some(available) = room.available.filter(|available| need.host() > *available) else { return Ok(()) };
+pub fn check(
+    photographs: &PhotographSizes,
+    config: &TrainConfig,
+    budget: MemoryBudget,
+) -> Result<(), TrainError> {
+    let need = MemoryEstimate::of(photographs, config, budget.on_device);
+    let Some(available) = budget.available.filter(|available| need.host() > *available) else {
+        return Ok(());
+    };
     let short = format!("{need}, of which {} are available", gb(available));
     let sides = photographs.sizes.iter().map(|(width, height)| *width.max(height));
     let most = sides.max().unwrap_or(0).min(config.resolution);
-    let smaller = |resolution| MemoryNeed::of(&photographs.reduced(resolution), config, room.on_device);
-    if let Some(fits) = largest_fit(LEAST_RESOLUTION, most, |side| smaller(side).host() <= available) {
+    let smaller = |resolution| MemoryEstimate::of(&photographs.reduced(resolution), config, budget.on_device);
+    if let Some(fits) = largest_fit(MIN_RESOLUTION, most, |side| smaller(side).host() <= available) {
         return Err(TrainError::Memory(format!("resolution: {short}; {fits} would fit")));
     }
     let fewer = |max_gaussians| {
         let config = TrainConfig { max_gaussians, ..config.clone() };
-        MemoryNeed::of(photographs, &config, room.on_device)
+        MemoryEstimate::of(photographs, &config, budget.on_device)
     };
-    let fits = largest_fit(LEAST_GAUSSIANS, config.max_gaussians, |most| fewer(most).host() <= available);
+    let fits = largest_fit(MIN_GAUSSIANS, config.max_gaussians, |most| fewer(most).host() <= available);
     Err(TrainError::Memory(match fits {
         Some(gaussians) => format!("max_gaussians: {short}; {gaussians} would fit"),
         None => format!("capture: {short}; no resolution would fit"),
@@ -215,8 +221,8 @@ pub fn check(photographs: &PhotographSizes, config: &TrainConfig, room: Room) ->
 }
 
 /// Least values of two settings, as `TrainConfig` accepts them.
-const LEAST_RESOLUTION: u32 = 16;
-const LEAST_GAUSSIANS: u32 = 16;
+const MIN_RESOLUTION: u32 = 16;
+const MIN_GAUSSIANS: u32 = 16;
 
 /// The largest number from `least` to below `most` that fits, where all smaller ones fit, too.
 fn largest_fit(least: u32, most: u32, fits: impl Fn(u32) -> bool) -> Option<u32> {
@@ -252,8 +258,8 @@ mod tests {
         PhotographSizes { sizes: sizes.to_vec(), bytes_a_pixel: 3.0, held_out: 0 }
     }
 
-    fn on_cpu(available: u64) -> Room {
-        Room { on_device: false, available: Some(available) }
+    fn on_cpu(available: u64) -> MemoryBudget {
+        MemoryBudget { on_device: false, available: Some(available) }
     }
 
     fn refusal(photographs: &PhotographSizes, config: &TrainConfig, available: u64) -> String {
@@ -274,18 +280,21 @@ mod tests {
         ];
         assert!(named.iter().all(|part| why.contains(part)), "{why}");
         let fits: u32 = why.split("; ").last().unwrap().split(' ').next().unwrap().parse().unwrap();
-        let need = |side: u32| MemoryNeed::of(&photographs.reduced(side), &config, false).host();
+        let need = |side: u32| MemoryEstimate::of(&photographs.reduced(side), &config, false).host();
         assert!(need(fits) <= 9_100_000_000 && need(fits + 1) > 9_100_000_000, "{fits}");
-        let whole = MemoryNeed::of(&photographs, &config, false).host();
+        let whole = MemoryEstimate::of(&photographs, &config, false).host();
         assert!(check(&photographs, &config, on_cpu(whole)).is_ok(), "the control: all of it fits");
-        assert!(check(&photographs, &config, Room::unbounded()).is_ok(), "what is available is not known");
+        assert!(
+            check(&photographs, &config, MemoryBudget::unbounded()).is_ok(),
+            "what is available is not known"
+        );
     }
 
     #[test]
     fn held_out_photographs_need_memory_only_while_reading() {
         let (all, config) = (opaque(&[(1600, 1200); 2000]), config(1600, 8000));
         let some = PhotographSizes { held_out: 250, ..all.clone() };
-        let [all, some] = [all, some].map(|photographs| MemoryNeed::of(&photographs, &config, false));
+        let [all, some] = [all, some].map(|photographs| MemoryEstimate::of(&photographs, &config, false));
         assert_eq!((all.photograph_bytes, some.photograph_bytes), (11_520_000_000, 11_520_000_000));
         assert_eq!((all.trained_bytes, some.trained_bytes), (11_520_000_000, 10_080_000_000));
         assert_eq!(some.host(), 11_520_000_000, "reading takes more than training");
@@ -304,9 +313,9 @@ mod tests {
     #[test]
     fn gaussians_on_a_device_need_no_host_memory() {
         let (photographs, config) = (opaque(&[(64, 64); 10]), config(64, 4_000_000));
-        let on_device = Room { on_device: true, ..on_cpu(1_000_000_000) };
+        let on_device = MemoryBudget { on_device: true, ..on_cpu(1_000_000_000) };
         assert!(check(&photographs, &config, on_device).is_ok());
-        let need = |on_device| MemoryNeed::of(&photographs, &config, on_device).to_string();
+        let need = |on_device| MemoryEstimate::of(&photographs, &config, on_device).to_string();
         assert!(need(true).contains("on the device") && !need(false).contains("on the device"));
     }
 

@@ -1,7 +1,7 @@
 //! What each step trains, with which weights and step sizes: the configuration as a function of progress.
 
 use relume_engine::{
-    Branches, FieldUpdate, ImageWeights, LightTurns, LightWeights, ParameterWeights, PhotoSize,
+    Branches, FieldUpdate, ImageWeights, LightRotations, LightWeights, ParameterWeights, PhotoSize,
     ProbeMeasurement, StepSizes, StepWeights, SurfaceWeights,
 };
 use relume_scene::Field;
@@ -11,13 +11,13 @@ use relume_spec::training::{LabelSource, TrainConfig};
 /// Progress from which depth-normal consistency acts: before, depth is noise.
 const NORMALS_FROM: f32 = 0.05;
 /// Factor on the weight of exposure where the light turns.
-const TURNING_EXPOSURE: f32 = 0.01;
+const ROTATING_LIGHT_EXPOSURE: f32 = 0.01;
 /// Progress from which sheen trains: earlier it explains what normals, roughness and light should.
 const SHEEN_FROM: f32 = 0.7;
 
 /// Steps in all beyond which materials, normals and light take smaller steps instead of travelling farther: what they would find on a
 /// longer way is noise of the photographs.
-const FARTHEST: f32 = 6000.0;
+const REFERENCE_ITERATIONS: f32 = 6000.0;
 
 /// What trains after `step` steps.
 pub fn branches(config: &TrainConfig, step: u32) -> Branches {
@@ -81,21 +81,21 @@ pub fn step_weights(
 
 /// Weights of the terms on a light that turns between photographs: highlights that move tell its level, so that the term on
 /// it need only keep it from drifting.
-pub fn turning_light(weights: LightWeights) -> LightWeights {
-    LightWeights { exposure: weights.exposure * TURNING_EXPOSURE, ..weights }
+pub fn rotating_light_weights(weights: LightWeights) -> LightWeights {
+    LightWeights { exposure: weights.exposure * ROTATING_LIGHT_EXPOSURE, ..weights }
 }
 
 /// Adam's step sizes at `progress` in [0, 1].
 ///
 /// Over the second half shapes and radiance fall to a thirtieth; materials, normals and light over the last quarter to a tenth, and where
-/// there are more steps than `FARTHEST`, theirs are smaller in proportion.
+/// there are more steps than `REFERENCE_ITERATIONS`, theirs are smaller in proportion.
 pub fn step_sizes(config: &TrainConfig, branches: Branches, progress: f32) -> StepSizes {
     let rates = &config.rates;
     let mean = rates.mean * (rates.mean_final / rates.mean.max(1e-20)).powf(progress);
     let second_half = (2.0 * progress - 1.0).max(0.0);
     let late = (1.0f32 / 30.0).powf(second_half);
     let last_quarter = (4.0 * progress - 3.0).max(0.0);
-    let share = (FARTHEST / config.iterations as f32).min(1.0);
+    let share = (REFERENCE_ITERATIONS / config.iterations as f32).min(1.0);
     let on = if branches.is_physical() { share * 0.1f32.powf(last_quarter) } else { 0.0 };
     let visibility = if branches == Branches::BothWithVisibility { rates.visibility * on } else { 0.0 };
     let table = [
@@ -120,12 +120,16 @@ pub fn step_sizes(config: &TrainConfig, branches: Branches, progress: f32) -> St
     StepSizes { fields, prototypes: rates.prototypes * on, environment: rates.environment * on }
 }
 
-/// How visibility and gathered light are measured: `repeats` times in a row, under each of the `turns` of the light.
-pub fn measurement<'a>(config: &TrainConfig, turns: &'a LightTurns, repeats: usize) -> ProbeMeasurement<'a> {
+/// How visibility and gathered light are measured: `repeats` times in a row, under each of the `rotations` of the light.
+pub fn measurement<'a>(
+    config: &TrainConfig,
+    rotations: &'a LightRotations,
+    repeats: usize,
+) -> ProbeMeasurement<'a> {
     ProbeMeasurement {
         directions: config.probe_directions as usize,
         bounces: config.bounces as usize,
-        turns: &turns.blocks,
+        rotations: &rotations.blocks,
         field: match config.labels {
             LabelSource::Probes => FieldUpdate::Replace,
             LabelSource::Both => FieldUpdate::Start,

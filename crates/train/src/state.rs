@@ -6,7 +6,7 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::complexity::state::ComplexityState;
-use crate::crop::CutOut;
+use crate::crop::SubjectCrop;
 use crate::dataset::Gain;
 use relume_scene::light::LightColour;
 
@@ -34,7 +34,7 @@ pub struct ScheduleState {
     /// Of each strong small light: the share by which sharp shadows explain the photographs better than soft ones.
     pub lights: Vec<f32>,
     /// What was cut out of photographs without masks, after the warm-up.
-    pub cut: Option<Arc<CutOut>>,
+    pub cut: Option<Arc<SubjectCrop>>,
 }
 
 impl ScheduleState {

@@ -129,7 +129,7 @@ fn open_again(options: GpuOptions) -> Gpu {
 
 /// The same, opened as if it could bind no more than `bytes`.
 fn narrow_device(bytes: u64) -> Device {
-    let options = GpuOptions { most_binding: Some(bytes), ..GpuOptions::from_env() };
+    let options = GpuOptions { binding_limit: Some(bytes), ..GpuOptions::from_env() };
     Device::Gpu(open_again(options))
 }
 
@@ -245,7 +245,7 @@ fn first_training_steps_match_the_cpu_engine() {
         let (mut on_cpu, mut on_gpu) = (trainer(form, &Device::Cpu), trainer(form, device));
         let losses = |trainer: &mut Trainer| -> BTreeMap<u32, f32> {
             let reports = (0..6).map(|_| trainer.step().unwrap());
-            reports.map(|report| (report.known_step, report.loss)).collect()
+            reports.map(|report| (report.metrics_step, report.loss)).collect()
         };
         let (a, b) = (losses(&mut on_cpu), losses(&mut on_gpu));
         assert!(a.len() == 6 && b.len() >= 5, "a device is a step behind at most: {b:?}");

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use relume_engine::{Device, FieldUpdate, ProbeMeasurement, TrainState, Training, TrainingLimits};
+use relume_engine::{Device, FieldUpdate, ProbeMeasurement, TrainState, TrainingEngine, TrainingLimits};
 use relume_scene::light::{EnvOperators, TableResolution};
 use relume_scene::{
     Field, Illumination, LightSplit, MAX_LIGHTS, Model, ShadeAt, SplitLight, VisibilityForm, texel_directions,
@@ -35,7 +35,7 @@ fn lit_table(split: &LightSplit) -> Model {
     model
 }
 
-fn training(device: &Device, model: Model, operators: &Arc<EnvOperators>) -> Box<dyn Training> {
+fn training(device: &Device, model: Model, operators: &Arc<EnvOperators>) -> Box<dyn TrainingEngine> {
     let limits = TrainingLimits {
         resolution: 32,
         pixels: 32 * 32,
@@ -46,7 +46,7 @@ fn training(device: &Device, model: Model, operators: &Arc<EnvOperators>) -> Box
 }
 
 fn measurement() -> ProbeMeasurement<'static> {
-    ProbeMeasurement { directions: 16, bounces: 1, field: FieldUpdate::Keep, repeats: 1, turns: &[0.0] }
+    ProbeMeasurement { directions: 16, bounces: 1, field: FieldUpdate::Keep, repeats: 1, rotations: &[0.0] }
 }
 
 /// The Gaussian nearest to `place`.

@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 use glam::DVec3;
 use relume_compare::{largest_difference, rms_difference};
 use relume_engine::cpu::{self, AttributeSource, Probes};
-use relume_engine::{FrameJob, ProbeSettings, RasterCamera, ShadeColour, fibonacci_sphere};
+use relume_engine::{ColourMode, FrameJob, ProbeSettings, RasterCamera, fibonacci_sphere};
 use relume_scene::light::rendering_tables;
 use relume_scene::{
     Camera, EnvMap, Field, Gaussians, IndirectForm, Model, ShadeAt, ShadingOptions, texel_directions,
@@ -14,14 +14,14 @@ use relume_scene::{
 use relume_spec::rendering::{Output, Quality, Tier};
 use relume_train::render::{Frame, Renderer};
 
-const ORDER: usize = 4;
+const SH_DEGREE: usize = 4;
 
 /// A flat disc: centre, normal, standard deviation.
 type Disc = (DVec3, DVec3, f64);
 
 /// A model of opaque discs of one material, their visibility measured as in training.
 fn model(discs: &[Disc], albedo: f32, rough_logit: f32) -> Arc<Model> {
-    let mut g = Gaussians::zeroed(discs.len(), 1, ORDER, 0);
+    let mut g = Gaussians::zeroed(discs.len(), 1, SH_DEGREE, 0);
     for (i, (centre, normal, sigma)) in discs.iter().enumerate() {
         let turn = glam::DQuat::from_rotation_arc(DVec3::Z, *normal);
         let quaternion = [turn.w, turn.x, turn.y, turn.z].map(|v| v as f32);
@@ -44,7 +44,7 @@ fn model(discs: &[Disc], albedo: f32, rough_logit: f32) -> Arc<Model> {
         light: None,
     };
     let probes = Probes::measure(&source, fibonacci_sphere(256), ProbeSettings::default());
-    let coefficients = probes.coefficients(ORDER);
+    let coefficients = probes.coefficients(SH_DEGREE);
     g.field_mut(Field::Visibility).copy_from_slice(&coefficients);
     Arc::new(Model {
         gaussians: g,
@@ -107,12 +107,12 @@ fn seen_from(camera: &Camera, renderer: &Renderer, map: &EnvMap, quality: impl I
 
 /// The standard frame from tables of the whole map.
 fn without_lights(model: &Arc<Model>, map: &EnvMap, size: u32) -> Frame {
-    let frames = cpu::Frames::new(model.clone());
-    let light = frames.prepare_light(rendering_tables(map, ORDER));
+    let frames = cpu::CpuFrameRenderer::new(model.clone());
+    let light = frames.prepare_light(rendering_tables(map, SH_DEGREE));
     let job = FrameJob {
         view: RasterCamera::new(&camera(size), &model.shading),
         outputs: &[Output::Rgb, Output::Alpha, Output::Diffuse, Output::Specular],
-        colour: ShadeColour::WithGBuffer,
+        colour: ColourMode::WithGBuffer,
         depth_scale: 1.0,
     };
     frames.render(&job, &light)
@@ -297,7 +297,7 @@ fn equal_seeds_give_equal_bytes_on_one_and_four_threads() {
 fn samples_out_of_range_are_refused_and_bright_lights_finite() {
     let renderer = Renderer::new(table());
     let light = renderer.prepare_light(&sun()).unwrap();
-    for samples in [0, Quality::MOST_SAMPLES + 1] {
+    for samples in [0, Quality::MAX_SAMPLES + 1] {
         let refused = renderer.render(&camera(8), &light, Quality::monte_carlo(samples), &[Output::Rgb]);
         assert!(refused.unwrap_err().to_string().starts_with("samples: "));
     }

@@ -11,7 +11,7 @@ use relume_spec::training::{
     Complexity, KnownLight, LabelSource, LightExposure, LossWeightChanges, Preset, TrainConfig,
     TrainOverrides,
 };
-use relume_train::{Preparation, TrainError, Trainer};
+use relume_train::{PreparedTraining, TrainError, Trainer};
 
 fn capture() -> &'static Capture {
     static CAPTURE: OnceLock<Capture> = OnceLock::new();
@@ -74,7 +74,7 @@ fn photograph_cache_size_does_not_change_the_model() {
     // Photographs that are divided by their gains are decoded anew.
     let overrides = TrainOverrides { match_exposures: Some(false), ..overrides() };
     let trained = |bytes: usize| {
-        let preparation = Preparation::new(capture(), config(&overrides)).unwrap();
+        let preparation = PreparedTraining::new(capture(), config(&overrides)).unwrap();
         let mut trainer = preparation.with_photo_cache(bytes).on(&Device::Cpu).unwrap();
         while !trainer.is_done() {
             trainer.step().unwrap();
@@ -160,7 +160,7 @@ fn known_light_stays_fixed_after_resume_and_must_exist() {
     assert!(matches!(refused, TrainError::Invalid(m) if m.starts_with("light:")));
 
     let map = EnvMap::from_fn(64, 32, |d| [1.0 + d.z as f32, 0.5, 0.3 + 0.2 * d.x as f32]);
-    let lit = Capture { lit_by: Some(map.clone()), ..capture().clone() };
+    let lit = Capture { measured_light: Some(map.clone()), ..capture().clone() };
     let mut trainer = Trainer::new(&lit, config.clone(), &Device::Cpu).unwrap();
     (0..30).for_each(|_| {
         trainer.step().unwrap();
@@ -240,15 +240,15 @@ fn auto_complexity_drops_visibility_on_a_ball_not_on_a_table() {
     let ball = auto_model(SyntheticScene::MatteBall, &auto());
     assert_eq!(ball.shading.visibility, VisibilityForm::Off, "{}", ball.card["complexity"]);
     assert_eq!(ball.shading.indirect, IndirectForm::Off);
-    assert_eq!(ball.gaussians.visibility_order(), 0);
+    assert_eq!(ball.gaussians.visibility_degree(), 0);
     let table = auto_model(SyntheticScene::Table, &auto());
     assert_eq!(table.shading.visibility, VisibilityForm::Linear, "{}", table.card["complexity"]);
-    assert!(table.gaussians.visibility_order() >= 1);
+    assert!(table.gaussians.visibility_degree() >= 1);
     let named =
         TrainOverrides { visibility_order: Some(2), bounces: Some(1), metalness: Some(false), ..auto() };
     let forced = auto_model(SyntheticScene::MatteBall, &named);
     assert_eq!(forced.shading.visibility, VisibilityForm::Linear, "what is named wins");
-    assert_eq!(forced.gaussians.visibility_order(), 2);
+    assert_eq!(forced.gaussians.visibility_degree(), 2);
     assert!(forced.gaussians.field(Field::MetalLogit).iter().all(|m| *m == -9.0));
 }
 

@@ -104,11 +104,11 @@ fn known(rotation_deg: f64) -> TrainOverrides {
 /// PSNR of the first two steps under the lamp, dB; later ones depend on rounding, since Adam divides small gradients by their
 /// size.
 fn first_steps(mut capture: Capture, overrides: &TrainOverrides, device: &Device) -> Vec<f32> {
-    capture.lit_by = Some(lamp());
+    capture.measured_light = Some(lamp());
     let mut trainer = trainer(&capture, overrides, device);
     // A device may be a step behind.
     let reports: Vec<StepReport> = (0..3).map(|_| trainer.step().unwrap()).collect();
-    let of_step = |n| reports.iter().find(|report| report.known_step == n).unwrap().psnr;
+    let of_step = |n| reports.iter().find(|report| report.metrics_step == n).unwrap().psnr;
     (1..=2).map(of_step).collect()
 }
 
@@ -177,12 +177,12 @@ fn training_with_rotating_light_resumes_with_the_same_bytes() {
 #[test]
 fn light_rotations_missing_from_the_capture_are_refused() {
     let mut capture = photographs(lamp());
-    let turns = BTreeMap::from([("train_001/rgba.png".to_owned(), 30.0)]);
-    let overrides = TrainOverrides { light_rotation_per_photo: Some(turns.clone()), ..overrides() };
+    let rotations = BTreeMap::from([("train_001/rgba.png".to_owned(), 30.0)]);
+    let overrides = TrainOverrides { light_rotation_per_photo: Some(rotations.clone()), ..overrides() };
     let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
     let refused = Trainer::new(&capture, config.clone(), &Device::Cpu).err();
     let Some(TrainError::Invalid(why)) = refused else { panic!("must be refused: {refused:?}") };
     assert!(why.starts_with("light_rotation_per_photo"), "{why}");
-    capture.turn_lights(&turns).unwrap();
+    capture.set_light_rotations(&rotations).unwrap();
     assert!(Trainer::new(&capture, config, &Device::Cpu).is_ok());
 }

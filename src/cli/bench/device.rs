@@ -9,7 +9,7 @@ use crate::cli::error::CommandResult;
 use relume_capture::{Capture, SyntheticOptions, builtin, synthetic};
 use relume_engine::Device;
 use relume_engine::DeviceChoice;
-use relume_engine::gpu::{Counts, StageTime};
+use relume_engine::gpu::{DeviceCounts, StageTime};
 use relume_scene::{Camera, Model};
 use relume_spec::rendering::{Output, Quality, Tier};
 use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
@@ -36,7 +36,7 @@ pub(super) struct DeviceArgs {
     #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
     /// Samples a pixel of Monte-Carlo frames, which take long in software; 0 leaves these out.
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=i64::from(Quality::MOST_SAMPLES)))]
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=i64::from(Quality::MAX_SAMPLES)))]
     samples: u32,
     /// Memory bandwidth of the device, GB/s, to compare with.
     #[arg(long)]
@@ -50,11 +50,11 @@ pub(super) struct DeviceArgs {
 }
 
 /// The measurements for one number of Gaussians.
-struct Figures {
+struct DeviceMeasurements {
     gaussians: usize,
     step_ms: f64,
     /// What the host did for a step of a GPU.
-    host: Option<HostFigures>,
+    host: Option<HostMeasurements>,
     stages: Vec<StageTime>,
     /// Tier with frame size, and frames a second.
     frames: Vec<(String, f64)>,
@@ -62,7 +62,7 @@ struct Figures {
 }
 
 /// What the host does for a step on average.
-struct HostFigures {
+struct HostMeasurements {
     /// Recording, and the schedule around it.
     recording_ms: f64,
     /// Handing over; a software driver does the work meanwhile.
@@ -72,8 +72,8 @@ struct HostFigures {
     waits: f64,
 }
 
-impl HostFigures {
-    fn of(counts: Counts, elapsed: Duration, steps: u32) -> Self {
+impl HostMeasurements {
+    fn of(counts: DeviceCounts, elapsed: Duration, steps: u32) -> Self {
         let a_step = |total: f64| total / f64::from(steps);
         Self {
             recording_ms: a_step(
@@ -106,7 +106,12 @@ pub(super) fn run(args: &DeviceArgs) -> CommandResult {
     Ok(publish(&report(args, &device, &all), args.out.as_deref())?)
 }
 
-fn measure(args: &DeviceArgs, device: &Device, capture: &Capture, n: u32) -> CommandResult<Figures> {
+fn measure(
+    args: &DeviceArgs,
+    device: &Device,
+    capture: &Capture,
+    n: u32,
+) -> CommandResult<DeviceMeasurements> {
     let overrides = TrainOverrides {
         resolution: Some(args.size),
         initial_gaussians: Some(n),
@@ -132,7 +137,7 @@ fn measure(args: &DeviceArgs, device: &Device, capture: &Capture, n: u32) -> Com
     }
     let elapsed = start.elapsed();
     let spent = counts().zip(before).map(|(now, before)| now - before);
-    let host = spent.map(|spent| HostFigures::of(spent, elapsed, args.steps));
+    let host = spent.map(|spent| HostMeasurements::of(spent, elapsed, args.steps));
     let step_ms = elapsed.as_secs_f64() * 1e3 / f64::from(args.steps);
     let mut stages = Vec::new();
     if let Device::Gpu(gpu) = device {
@@ -155,7 +160,7 @@ fn measure(args: &DeviceArgs, device: &Device, capture: &Capture, n: u32) -> Com
         Device::Cpu => None,
         Device::Gpu(gpu) => Some(gpu.memory().1),
     };
-    Ok(Figures { gaussians, step_ms, host, stages, frames, peak_bytes })
+    Ok(DeviceMeasurements { gaussians, step_ms, host, stages, frames, peak_bytes })
 }
 
 fn frames(
@@ -204,7 +209,7 @@ fn framed(camera: &Camera, width: u32, height: u32) -> Camera {
     }
 }
 
-fn report(args: &DeviceArgs, device: &Device, all: &[Figures]) -> String {
+fn report(args: &DeviceArgs, device: &Device, all: &[DeviceMeasurements]) -> String {
     let columns = all.iter().map(|f| format!("{} Gaussians", f.gaussians));
     let mut text = format!(
         "{}; seed 0.\nPhotographs {1}x{1}, preset `high`, every step with all terms.\n\n{2}",
@@ -212,12 +217,14 @@ fn report(args: &DeviceArgs, device: &Device, all: &[Figures]) -> String {
         args.size,
         head(&["per step"], columns)
     );
-    let mut line = |name: &str, cell: &dyn Fn(&Figures) -> String| {
+    let mut line = |name: &str, cell: &dyn Fn(&DeviceMeasurements) -> String| {
         text += &row(std::iter::once(name.to_owned()).chain(all.iter().map(cell)));
     };
     line("whole step, ms", &|f| format!("{:.2}", f.step_ms));
     if all.iter().all(|f| f.host.is_some()) {
-        let of = |f: &Figures, value: &dyn Fn(&HostFigures) -> f64| figure(f.host.as_ref().map(value), 2);
+        let of = |f: &DeviceMeasurements, value: &dyn Fn(&HostMeasurements) -> f64| {
+            figure(f.host.as_ref().map(value), 2)
+        };
         line("stages together, ms", &|f| format!("{:.2}", f.stages.iter().map(|s| s.ms).sum::<f64>()));
         line("recording on the host, ms", &|f| of(f, &|h| h.recording_ms));
         line("submitting, ms", &|f| of(f, &|h| h.submitting_ms));
@@ -226,7 +233,8 @@ fn report(args: &DeviceArgs, device: &Device, all: &[Figures]) -> String {
         line("waits", &|f| of(f, &|h| h.waits));
     }
     for stage in all.first().map_or(&[][..], |f| &f.stages) {
-        let ms = |f: &Figures| f.stages.iter().find(|s| s.name == stage.name).map_or(0.0, |s| s.ms);
+        let ms =
+            |f: &DeviceMeasurements| f.stages.iter().find(|s| s.name == stage.name).map_or(0.0, |s| s.ms);
         line(&format!("{}, ms", stage.name), &|f| format!("{:.3}", ms(f)));
     }
     for (k, (name, _)) in all.first().map_or(&[][..], |f| &f.frames).iter().enumerate() {
@@ -237,7 +245,7 @@ fn report(args: &DeviceArgs, device: &Device, all: &[Figures]) -> String {
 }
 
 /// The three costliest counted stages against the device's limits, where those are given.
-fn limits(args: &DeviceArgs, all: &[Figures]) -> String {
+fn limits(args: &DeviceArgs, all: &[DeviceMeasurements]) -> String {
     let (Some(bandwidth), Some(tflops)) = (args.bandwidth, args.tflops) else { return String::new() };
     let mut text = format!(
         "\nAgainst {bandwidth} GB/s and {tflops} TFLOP/s (least bytes and operations, as counted):\n\n{}",

@@ -22,11 +22,11 @@ use crate::cli::error::CommandResult;
 #[derive(Debug, clap::Args)]
 pub(super) struct BenchArgs {
     #[command(subcommand)]
-    what: What,
+    command: BenchCommand,
 }
 
 #[derive(Debug, clap::Subcommand)]
-enum What {
+enum BenchCommand {
     #[cfg(feature = "gpu")]
     /// Milliseconds per stage and step, frames a second and memory of a device, by number of Gaussians.
     Device(device::DeviceArgs),
@@ -35,7 +35,7 @@ enum What {
     /// What each layer of a model costs its relit pictures, in dB: ground truth replaces one layer after the other.
     Attribution(attribution::AttributionArgs),
     /// Poses that COLMAP finds for photographs, against those that their capture states.
-    Poses(poses::PosesArgs),
+    Poses(poses::BenchPosesArgs),
     /// How fast jobs go through the queue when no worker computes anything, and what they leave in the database.
     Queue(queue::QueueArgs),
     /// Size, time and accuracy of trainings with all model features and with those that the scene requires.
@@ -51,17 +51,17 @@ enum What {
 }
 
 pub(super) fn run(args: &BenchArgs) -> CommandResult {
-    match &args.what {
+    match &args.command {
         #[cfg(feature = "gpu")]
-        What::Device(args) => device::run(args),
-        What::Matrix(args) => matrix::run(args),
-        What::Attribution(args) => attribution::run(args),
-        What::Poses(args) => poses::run(args),
-        What::Queue(args) => queue::run(args),
-        What::Complexity(args) => complexity::run(args),
-        What::Service(args) => service::run(args),
-        What::Shadow(args) => shadow::run(args),
-        What::Tradeoff(args) => tradeoff::run(args),
-        What::Visibility(args) => visibility::run(args),
+        BenchCommand::Device(args) => device::run(args),
+        BenchCommand::Matrix(args) => matrix::run(args),
+        BenchCommand::Attribution(args) => attribution::run(args),
+        BenchCommand::Poses(args) => poses::run(args),
+        BenchCommand::Queue(args) => queue::run(args),
+        BenchCommand::Complexity(args) => complexity::run(args),
+        BenchCommand::Service(args) => service::run(args),
+        BenchCommand::Shadow(args) => shadow::run(args),
+        BenchCommand::Tradeoff(args) => tradeoff::run(args),
+        BenchCommand::Visibility(args) => visibility::run(args),
     }
 }

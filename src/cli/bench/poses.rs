@@ -7,14 +7,14 @@ use std::time::{Duration, Instant};
 use crate::cli::bench::input::file_name;
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
-use relume_capture::poses::{PoseOptions, Watch, find_poses};
-use relume_capture::{ImportLimits, PhotoCamera, Unposed, cameras};
+use relume_capture::poses::{PoseOptions, RunControl, find_poses};
+use relume_capture::{ImportLimits, PhotoCamera, PhotosWithoutPoses, cameras};
 use relume_scene::Camera;
 use relume_train::eval::PoseErrors;
 
 /// Options of `relume bench poses`.
 #[derive(Debug, clap::Args)]
-pub(super) struct PosesArgs {
+pub(super) struct BenchPosesArgs {
     /// Captures with poses that are taken to be true.
     #[arg(required = true)]
     captures: Vec<PathBuf>,
@@ -26,7 +26,7 @@ pub(super) struct PosesArgs {
     out: Option<PathBuf>,
 }
 
-pub(super) fn run(args: &PosesArgs) -> CommandResult {
+pub(super) fn run(args: &BenchPosesArgs) -> CommandResult {
     let columns = ["photographs", "placed", "agree within 5°", "rotation, median °", "position, median", "s"];
     let mut text = format!(
         "Poses found from the photographs alone, against those of the capture, after a rotation, a scale and a shift. Positions over \
@@ -37,13 +37,15 @@ pub(super) fn run(args: &PosesArgs) -> CommandResult {
         let stated: BTreeMap<String, Camera> =
             cameras(path, &ImportLimits::default())?.into_iter().map(named).collect();
         let none = || format!("{}: there are no photographs", path.display());
-        let photographs = Unposed::ignoring_poses(path, &ImportLimits::default())?.ok_or_else(none)?;
+        let photographs =
+            PhotosWithoutPoses::ignoring_poses(path, &ImportLimits::default())?.ok_or_else(none)?;
         let folder = tempfile::tempdir()?;
         let mut report = |_| {};
         let started = Instant::now();
-        let mut watch = Watch::new(Duration::from_secs(60 * args.time_limit), &mut report, &|| false);
+        let mut run_control =
+            RunControl::new(Duration::from_secs(60 * args.time_limit), &mut report, &|| false);
         let into = folder.path().join("capture");
-        find_poses(&photographs, &into, &PoseOptions::default(), &mut watch)?;
+        find_poses(&photographs, &into, &PoseOptions::default(), &mut run_control)?;
         let seconds = started.elapsed().as_secs();
         let found = cameras(&into, &ImportLimits::default())?.into_iter().map(named);
         let (found, truth): (Vec<Camera>, Vec<Camera>) =

@@ -25,7 +25,7 @@ const CLIENTS: u64 = 16;
 /// Steps of each job.
 const STEPS: i64 = 100;
 /// Time between two lists of jobs.
-const LOOK: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 const COLUMNS: [&str; 5] = ["times", "per second", "p50, ms", "p99, ms", "worst, ms"];
 
 /// Options of `relume bench queue`.
@@ -70,13 +70,13 @@ async fn measure(args: &QueueArgs) -> CommandResult<String> {
         head(&["operation"], COLUMNS)
     );
     eprintln!("submitting");
-    let submitted = Phase::begin();
+    let submitted = Stopwatch::begin();
     let share = |client: u64| args.jobs / CLIENTS + u64::from(client < args.jobs % CLIENTS);
     let clients = (0..CLIENTS).map(|client| submit(jobs.clone(), capture.clone(), share(client)));
     text += &submitted.end(&[("submit", try_join_all(clients).await?)]);
     eprintln!("working");
-    let (worked, done) = (Phase::begin(), Arc::new(AtomicBool::new(false)));
-    let looking = look(jobs.clone(), done.clone());
+    let (worked, done) = (Stopwatch::begin(), Arc::new(AtomicBool::new(false)));
+    let looking = poll_jobs(jobs.clone(), done.clone());
     let published = Arc::new(AtomicU64::new(0));
     let workers =
         (0..args.workers).map(|_| tokio::spawn(work(jobs.clone(), args.reports, published.clone())));
@@ -101,9 +101,9 @@ async fn measure(args: &QueueArgs) -> CommandResult<String> {
 }
 
 /// When something began.
-struct Phase(Instant);
+struct Stopwatch(Instant);
 
-impl Phase {
+impl Stopwatch {
     fn begin() -> Self {
         Self(Instant::now())
     }
@@ -182,7 +182,7 @@ async fn work(jobs: Jobs, reports: i64, published: Arc<AtomicU64>) -> Result<[Ve
 }
 
 /// Asks for the newest 50 jobs from time to time until it is done. Returns the milliseconds of each.
-fn look(jobs: Jobs, done: Arc<AtomicBool>) -> JoinHandle<Result<Vec<f64>, StoreError>> {
+fn poll_jobs(jobs: Jobs, done: Arc<AtomicBool>) -> JoinHandle<Result<Vec<f64>, StoreError>> {
     tokio::spawn(async move {
         let mut times = Vec::new();
         while !done.load(Ordering::SeqCst) {
@@ -190,7 +190,7 @@ fn look(jobs: Jobs, done: Arc<AtomicBool>) -> JoinHandle<Result<Vec<f64>, StoreE
             let listed = jobs.list(&TenantId::of_operator(), None, &Filter::default(), &page).await?;
             jobs.positions(&listed).await?;
             times.push(elapsed_ms(begin));
-            tokio::time::sleep(LOOK).await;
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
         Ok(times)
     })

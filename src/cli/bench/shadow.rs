@@ -14,7 +14,7 @@ use relume_train::render::Renderer;
 /// Cosine to +Z of normals that face up: one plane, which only shadows divide.
 const UP: f32 = 0.95;
 /// Darker true albedo has too little light to tell by.
-const LEAST_ALBEDO: f32 = 0.05;
+const MIN_ALBEDO: f32 = 0.05;
 /// Channels of the photograph from here on may be clipped.
 const CLIPPED: f32 = 0.95;
 /// Light on a lit pixel, and on one in shadow, over that on the brightest tenth.
@@ -38,7 +38,7 @@ pub(super) struct ShadowArgs {
 }
 
 /// A pixel of the ground: the light on it, and the model's albedo over the true one.
-struct Ground {
+struct GroundPixel {
     light: f32,
     albedo: f32,
 }
@@ -52,19 +52,19 @@ pub(super) fn run(args: &ShadowArgs) -> CommandResult {
         head(&["model"], ["lit pixels", "in shadow", "albedo, lit", "in shadow", "shadow left, %"])
     );
     for path in &args.models {
-        let subject = BenchModel::read(path)?;
-        let renderer = Renderer::new(subject.model.clone());
+        let bench_model = BenchModel::read(path)?;
+        let renderer = Renderer::new(bench_model.model.clone());
         let mut ground = Vec::new();
         for view in &capture.test {
             ground.extend(ground_of(&renderer, view)?);
         }
-        text += &line(&subject.name, &ground)?;
+        text += &line(&bench_model.name, &ground)?;
     }
     Ok(publish(&text, args.out.as_deref())?)
 }
 
 /// The level ground that one view shows.
-fn ground_of(renderer: &Renderer, view: &CaptureView) -> CommandResult<Vec<Ground>> {
+fn ground_of(renderer: &Renderer, view: &CaptureView) -> CommandResult<Vec<GroundPixel>> {
     let (Some(albedo), Some(normal)) = (&view.truth.albedo, &view.truth.normal) else {
         return Err(format!("{}: has no true albedo or no true normals", view.name).into());
     };
@@ -75,16 +75,16 @@ fn ground_of(renderer: &Renderer, view: &CaptureView) -> CommandResult<Vec<Groun
     let truth = albedo.values.iter().zip(&normal.values).zip(view.image.pixels());
     let pixels = truth.zip(found).filter_map(|(((albedo, normal), pixel), found)| {
         let shown = [pixel[0], pixel[1], pixel[2]];
-        let is_ground = pixel[3] > 0.99 && normal[2] > UP && mean(*albedo) > LEAST_ALBEDO;
+        let is_ground = pixel[3] > 0.99 && normal[2] > UP && mean(*albedo) > MIN_ALBEDO;
         let light = mean(shown.map(linear_from_srgb)) / mean(*albedo);
         (is_ground && shown.iter().all(|v| *v < CLIPPED))
-            .then(|| Ground { light, albedo: mean(*found) / mean(*albedo) })
+            .then(|| GroundPixel { light, albedo: mean(*found) / mean(*albedo) })
     });
     Ok(pixels.collect())
 }
 
 /// The table row of one model.
-fn line(name: &str, ground: &[Ground]) -> CommandResult<String> {
+fn line(name: &str, ground: &[GroundPixel]) -> CommandResult<String> {
     let mut light: Vec<f32> = ground.iter().map(|g| g.light).collect();
     light.sort_by(f32::total_cmp);
     let bright = light.get(light.len() * 9 / 10).copied().unwrap_or(0.0);
@@ -112,12 +112,12 @@ mod tests {
 
     #[test]
     fn shadow_baked_into_the_albedo_is_measured_in_percent() {
-        let ground = |left: f32| -> Vec<Ground> {
+        let ground = |left: f32| -> Vec<GroundPixel> {
             (0..100)
                 .map(|i| (if i < 60 { 1.0 } else { 0.2 }, if i < 60 { 1.1 } else { 1.1 * left }))
                 .collect::<Vec<_>>()
                 .into_iter()
-                .map(|(light, albedo)| Ground { light, albedo })
+                .map(|(light, albedo)| GroundPixel { light, albedo })
                 .collect()
         };
         assert!(line("m", &ground(1.0)).unwrap().ends_with("| 0.0 |\n"));

@@ -8,7 +8,7 @@ use crate::cli::bench::input::{BenchModel, read_capture};
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
 use relume_capture::{Capture, CaptureView};
-use relume_engine::cpu::{AttributeSource, Occluders, Pass, Surface, surface_at, surface_point};
+use relume_engine::cpu::{AttributeSource, OccluderBvh, Pass, Surface, surface_at, surface_point};
 use relume_engine::{RasterCamera, fibonacci_sphere};
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
@@ -66,14 +66,14 @@ pub(super) fn run(args: &VisibilityArgs) -> CommandResult {
 }
 
 /// The table row of one model.
-fn measure(args: &VisibilityArgs, capture: &Capture, subject: &BenchModel) -> CommandResult<String> {
-    let renderer = Renderer::new(subject.model.clone());
+fn measure(args: &VisibilityArgs, capture: &Capture, bench_model: &BenchModel) -> CommandResult<String> {
+    let renderer = Renderer::new(bench_model.model.clone());
     let views = evenly_spaced(&capture.test, Some(args.views as usize));
     let (mut occlusion, mut directions) = (PairSums::default(), DirectionSums::default());
-    let towards = basis(args.directions as usize, subject.model.gaussians.visibility_order());
+    let towards = basis(args.directions as usize, bench_model.model.gaussians.visibility_degree());
     for view in views {
         occlusion.add(&ambient_occlusion(&renderer, view)?);
-        directions.add(&directional(args, &subject.model, view, &towards, renderer.occluders()));
+        directions.add(&directional(args, &bench_model.model, view, &towards, renderer.occluders()));
     }
     if occlusion.count == 0.0 {
         return Err("the held-out views have no true ambient occlusion (ao.png)".into());
@@ -86,7 +86,7 @@ fn measure(args: &VisibilityArgs, capture: &Capture, subject: &BenchModel) -> Co
         directions.of_projection / directions.weight,
     ];
     let figures = figures.iter().map(|v| format!("{v:.3}"));
-    Ok(row([subject.name.clone(), subject.setting("labels")].into_iter().chain(figures)))
+    Ok(row([bench_model.name.clone(), bench_model.setting("labels")].into_iter().chain(figures)))
 }
 
 /// Field and truth of each foreground pixel.
@@ -106,7 +106,7 @@ fn directional(
     model: &Model,
     view: &CaptureView,
     towards: &[Towards],
-    occluders: &Occluders,
+    occluders: &OccluderBvh,
 ) -> DirectionSums {
     let source = AttributeSource {
         gaussians: &model.gaussians,
@@ -149,7 +149,7 @@ fn at_point(
     point: [f32; 3],
     surface: &Surface,
     towards: &[Towards],
-    occluders: &Occluders,
+    occluders: &OccluderBvh,
 ) -> DirectionSums {
     let vector = glam::Vec3::from_array;
     let normal = vector(surface.normal).normalize_or_zero();
@@ -181,10 +181,10 @@ struct Towards {
 }
 
 /// `count` directions over the whole sphere.
-fn basis(count: usize, order: usize) -> Vec<Towards> {
+fn basis(count: usize, sh_degree: usize) -> Vec<Towards> {
     let towards = |direction: [f32; 3]| {
         let mut basis = [0.0f32; 64];
-        sh_eval(order, direction, &mut basis);
+        sh_eval(sh_degree, direction, &mut basis);
         Towards { direction, basis }
     };
     fibonacci_sphere(count).into_iter().map(towards).collect()

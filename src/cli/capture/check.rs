@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use crate::cli::error::CommandResult;
-use relume_capture::check::{PhotoFacts, PhotographsReport, check_photographs};
-use relume_capture::{ImportLimits, Unposed};
+use relume_capture::check::{PhotoStats, PhotographsReport, check_photographs};
+use relume_capture::{ImportLimits, PhotosWithoutPoses};
 
 /// Names of photographs that a line shows.
 const SHOWN: usize = 12;
@@ -23,7 +23,7 @@ pub(super) struct CheckArgs {
 pub(super) fn run(args: &CheckArgs) -> CommandResult<ExitCode> {
     let none = || format!("{}: there are no photographs", args.photographs.display());
     let photographs =
-        Unposed::ignoring_poses(&args.photographs, &ImportLimits::default())?.ok_or_else(none)?;
+        PhotosWithoutPoses::ignoring_poses(&args.photographs, &ImportLimits::default())?.ok_or_else(none)?;
     let report = check_photographs(&photographs);
     for line in lines(&report, args.each) {
         println!("{line}");
@@ -37,7 +37,7 @@ fn lines(report: &PhotographsReport, each: bool) -> Vec<String> {
         lines.push("photograph  size  sharpness  brightness  clipped  resembles the nearest".to_owned());
         lines.extend(report.photos.iter().map(line));
     }
-    let range = |of: fn(&PhotoFacts) -> f64| {
+    let range = |of: fn(&PhotoStats) -> f64| {
         let values = || report.photos.iter().map(of);
         (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
     };
@@ -65,13 +65,13 @@ fn lines(report: &PhotographsReport, each: bool) -> Vec<String> {
             lines.push(format!("    {shown}{more}"));
         }
     }
-    let verdict = if report.has_problems() { "not fit to be trained on" } else { "fit to be trained on" };
-    lines.push(verdict.to_owned());
+    let conclusion = if report.has_problems() { "not fit to be trained on" } else { "fit to be trained on" };
+    lines.push(conclusion.to_owned());
     lines
 }
 
-fn line(photo: &PhotoFacts) -> String {
-    let PhotoFacts { name, size: (width, height), sharpness, brightness, clipped, overlap, .. } = photo;
+fn line(photo: &PhotoStats) -> String {
+    let PhotoStats { name, size: (width, height), sharpness, brightness, clipped, overlap, .. } = photo;
     format!(
         "{name}  {width}x{height}  {sharpness:.0}  {brightness:.2}  {:.1}%  {overlap:.2}",
         clipped * 100.0
@@ -79,7 +79,7 @@ fn line(photo: &PhotoFacts) -> String {
 }
 
 /// What the camera noted of the first photograph, if anything.
-fn camera(photos: &[PhotoFacts]) -> Option<String> {
+fn camera(photos: &[PhotoStats]) -> Option<String> {
     let facts = &photos.first()?.camera;
     let parts = [
         facts.camera.clone(),

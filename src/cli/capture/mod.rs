@@ -13,21 +13,21 @@ pub(super) use poses::{PoseArgs, posed};
 #[derive(Debug, clap::Args)]
 pub(super) struct CaptureArgs {
     #[command(subcommand)]
-    what: What,
+    command: CaptureCommand,
 }
 
 #[derive(Debug, clap::Subcommand)]
-enum What {
+enum CaptureCommand {
     /// Look at photographs before hours are spent: their number, blur, exposure, overlap and what the camera noted. Fails when they
     /// are not fit to be trained on.
     Check(check::CheckArgs),
     /// Find the poses of photographs or of a clip, with COLMAP and ffmpeg, and make a capture of them.
-    Poses(poses::PosesArgs),
+    Poses(poses::CapturePosesArgs),
 }
 
 pub(super) fn run(args: &CaptureArgs) -> CommandResult<ExitCode> {
-    match &args.what {
-        What::Check(args) => check::run(args),
-        What::Poses(args) => poses::run(args).map(|()| ExitCode::SUCCESS),
+    match &args.command {
+        CaptureCommand::Check(args) => check::run(args),
+        CaptureCommand::Poses(args) => poses::run(args).map(|()| ExitCode::SUCCESS),
     }
 }

@@ -7,9 +7,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::cli::error::CommandResult;
 use relume_capture::poses::{
-    ClipOptions, PoseOptions, PoseProgress, PoseStage, Watch, find_poses, frames_of_clip, is_clip,
+    ClipOptions, PoseOptions, PoseProgress, PoseStage, RunControl, find_poses, frames_of_clip, is_clip,
 };
-use relume_capture::{ImportLimits, Unposed};
+use relume_capture::{ImportLimits, PhotosWithoutPoses};
 
 /// How poses are found where photographs have none.
 #[derive(Debug, clap::Args)]
@@ -24,7 +24,7 @@ pub(in crate::cli) struct PoseArgs {
 
 /// Options of `relume capture poses`.
 #[derive(Debug, clap::Args)]
-pub(super) struct PosesArgs {
+pub(super) struct CapturePosesArgs {
     /// A folder, zip, tar or tar.gz of photographs, or a clip (.mp4, .mov, .mkv, .webm).
     photographs: PathBuf,
     #[command(flatten)]
@@ -34,7 +34,7 @@ pub(super) struct PosesArgs {
     out: Option<PathBuf>,
 }
 
-pub(super) fn run(args: &PosesArgs) -> CommandResult {
+pub(super) fn run(args: &CapturePosesArgs) -> CommandResult {
     let capture = find(&args.photographs, args.out.as_deref(), &args.how)?;
     match capture {
         Some(capture) => println!("{}", capture.display()),
@@ -50,36 +50,39 @@ pub(in crate::cli) fn posed(input: &Path, args: &PoseArgs) -> CommandResult<Path
 
 /// Makes a capture of photographs without poses or of a clip; `None` where there are none of these.
 fn find(input: &Path, out: Option<&Path>, args: &PoseArgs) -> CommandResult<Option<PathBuf>> {
-    let mut shown = Shown::new()?;
+    let mut shown = PoseProgressBar::new()?;
     let mut progress = |progress| shown.progress(progress);
     // A program that is interrupted takes what it has started with it: they hear the same signal.
-    let mut watch = Watch::new(Duration::from_secs(60 * args.pose_time_limit), &mut progress, &|| false);
+    let mut run_control =
+        RunControl::new(Duration::from_secs(60 * args.pose_time_limit), &mut progress, &|| false);
     let photographs = if is_clip(input) {
         let frames = beside(input, "frames");
         if !frames.is_dir() {
             eprintln!("{}: taking frames, into {}", input.display(), frames.display());
             let options = ClipOptions { frames: args.clip_frames as usize, ..ClipOptions::default() };
-            frames_of_clip(input, &frames, &options, &mut watch)?;
+            frames_of_clip(input, &frames, &options, &mut run_control)?;
         }
         frames
     } else {
         input.to_owned()
     };
-    let Some(unposed) = Unposed::open(&photographs, &ImportLimits::default())? else { return Ok(None) };
+    let Some(photos_without_poses) = PhotosWithoutPoses::open(&photographs, &ImportLimits::default())? else {
+        return Ok(None);
+    };
     let into = out.map_or_else(|| beside(input, "poses"), Path::to_owned);
     eprintln!(
         "{}: {} photographs without poses; COLMAP looks for them, into {}",
         photographs.display(),
-        unposed.photos().len(),
+        photos_without_poses.photos().len(),
         into.display()
     );
-    let poses = find_poses(&unposed, &into, &PoseOptions::default(), &mut watch)?;
+    let poses = find_poses(&photos_without_poses, &into, &PoseOptions::default(), &mut run_control)?;
     shown.finish();
-    let placed = poses.photographs - poses.unplaced.len();
-    let earlier = if poses.were_there { ", by an earlier run" } else { "" };
+    let placed = poses.photographs - poses.unregistered.len();
+    let earlier = if poses.already_present { ", by an earlier run" } else { "" };
     eprintln!("{placed} of {} photographs have poses{earlier}", poses.photographs);
-    if !poses.unplaced.is_empty() {
-        eprintln!("warning: without a pose, and left out: {}", poses.unplaced.join(", "));
+    if !poses.unregistered.is_empty() {
+        eprintln!("warning: without a pose, and left out: {}", poses.unregistered.join(", "));
     }
     Ok(Some(into))
 }
@@ -96,13 +99,13 @@ fn beside(input: &Path, ending: &str) -> PathBuf {
 }
 
 /// Progress on a terminal as a bar, else as lines.
-struct Shown {
+struct PoseProgressBar {
     bar: ProgressBar,
     stage: Option<PoseStage>,
     tenth: u64,
 }
 
-impl Shown {
+impl PoseProgressBar {
     fn new() -> CommandResult<Self> {
         let bar = ProgressBar::new(0);
         bar.set_style(ProgressStyle::with_template("{msg:10} {bar:32} {pos}/{len}")?);

@@ -133,10 +133,10 @@ pub(in crate::cli) fn finite(text: &str) -> Result<f64, String> {
     if value.is_finite() { Ok(value) } else { Err("must be finite".to_owned()) }
 }
 
-/// A number of at most `MOST` either way.
-pub(in crate::cli) fn up_to<const MOST: i32>(text: &str) -> Result<f64, String> {
+/// A number of at most `LIMIT` either way.
+pub(in crate::cli) fn up_to<const LIMIT: i32>(text: &str) -> Result<f64, String> {
     let value = finite(text)?;
-    if value.abs() <= f64::from(MOST) { Ok(value) } else { Err(format!("must be -{MOST} to {MOST}")) }
+    if value.abs() <= f64::from(LIMIT) { Ok(value) } else { Err(format!("must be -{LIMIT} to {LIMIT}")) }
 }
 
 /// A size in pixels, e.g. `1920x1080`.

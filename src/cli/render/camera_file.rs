@@ -10,16 +10,16 @@ use crate::cli::input;
 use relume_api::NerfstudioWorld;
 use relume_api::problem::FieldError;
 use relume_capture::{ImportLimits, cameras_of_colmap};
-use relume_train::render::{View, resized};
+use relume_train::render::{FrameView, resized};
 
 /// Most frames of a file.
-const MOST_FRAMES: usize = 100_000;
+const MAX_FRAMES: usize = 100_000;
 
 /// The views of the file or folder at `path`.
 ///
 /// # Errors
 /// Names the file and the field at fault.
-pub(super) fn read(path: &Path, args: &CameraArgs) -> Result<Vec<View>, String> {
+pub(super) fn read(path: &Path, args: &CameraArgs) -> Result<Vec<FrameView>, String> {
     let named = |error: String| format!("{}: {error}", path.display());
     if path.is_dir() {
         let cameras = cameras_of_colmap(path, &ImportLimits::default()).map_err(|e| named(e.to_string()))?;
@@ -40,7 +40,7 @@ fn read_world(file: &Path) -> Result<NerfstudioWorld, String> {
 }
 
 /// The views of a JSON file, whichever of its kinds it is.
-fn parse(bytes: &[u8], args: &CameraArgs, world: Option<&NerfstudioWorld>) -> Result<Vec<View>, String> {
+fn parse(bytes: &[u8], args: &CameraArgs, world: Option<&NerfstudioWorld>) -> Result<Vec<FrameView>, String> {
     let json: Value = serde_json::from_slice(bytes).map_err(|error| format!("is not valid JSON: {error}"))?;
     if world.is_some() && json.get("camera_path").is_none() {
         return Err("--path-world is of files with a camera_path alone".to_owned());
@@ -63,9 +63,9 @@ fn named_as_in_code(error: &FieldError) -> String {
 }
 
 /// The views at the resolution that was asked for.
-fn sized(views: Vec<View>, args: &CameraArgs) -> Result<Vec<View>, String> {
-    if !(1..=MOST_FRAMES).contains(&views.len()) {
-        return Err(format!("has {} cameras; 1 to {MOST_FRAMES} are rendered", views.len()));
+fn sized(views: Vec<FrameView>, args: &CameraArgs) -> Result<Vec<FrameView>, String> {
+    if !(1..=MAX_FRAMES).contains(&views.len()) {
+        return Err(format!("has {} cameras; 1 to {MAX_FRAMES} are rendered", views.len()));
     }
     let Some(size) = args.resolution else { return Ok(views) };
     resized(views, size).map_err(|(i, why)| format!("camera {} {why}", i + 1))
@@ -90,7 +90,7 @@ mod tests {
         }
     }
 
-    fn views(json: &Value, resolution: Option<(u32, u32)>) -> Result<Vec<View>, String> {
+    fn views(json: &Value, resolution: Option<(u32, u32)>) -> Result<Vec<FrameView>, String> {
         let args = args(resolution);
         sized(parse(json.to_string().as_bytes(), &args, None)?, &args)
     }
@@ -101,7 +101,7 @@ mod tests {
             "camera": { "look_at": { "eye": [3, 0, 0], "target": [0, 0, 0], "fov_y_deg": 40 } } }] });
         let small = views(&file, None).unwrap()[0];
         let large = views(&file, Some((128, 96))).unwrap()[0];
-        assert_eq!((large.camera.width, large.camera.height, large.light_turn_deg), (128, 96, 30.0));
+        assert_eq!((large.camera.width, large.camera.height, large.light_rotation_deg), (128, 96, 30.0));
         assert!((large.camera.fy - 2.0 * small.camera.fy).abs() < 1e-9);
         assert!(views(&file, Some((128, 128))).unwrap_err().contains("stretch"));
     }

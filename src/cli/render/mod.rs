@@ -5,7 +5,7 @@ mod camera_file;
 mod frame_list;
 mod numbering;
 mod sequence;
-mod studio;
+mod session;
 mod views;
 
 use std::path::Path;
@@ -15,7 +15,7 @@ use relume_spec::rendering::FrameFormat;
 
 pub(super) use args::{RenderArgs, finite, up_to};
 use numbering::Numbering;
-use studio::Studio;
+use session::RenderSession;
 
 pub(super) fn run(args: &RenderArgs) -> CommandResult {
     let format = format(&args.out)?;
@@ -25,12 +25,12 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
     let numbering = numbering(args)?;
     let file_cameras = args.cameras.path.as_deref().map(|file| camera_file::read(file, &args.cameras));
     let file_cameras = file_cameras.transpose()?;
-    let studio = Studio::open(args, format)?;
-    let views = views::views(&args.cameras, file_cameras, studio.model())?;
+    let session = RenderSession::open(args, format)?;
+    let views = views::views(&args.cameras, file_cameras, session.model())?;
     match (numbering, views.as_slice()) {
-        (None, [view]) => sequence::single(&studio, view, &args.out),
+        (None, [view]) => sequence::single(&session, view, &args.out),
         (None, _) => Err(format!("{}: {}", args.out.display(), Numbering::WANTED).into()),
-        (Some(numbering), views) => sequence::sequence(&studio, views, &numbering, &args.sequence),
+        (Some(numbering), views) => sequence::sequence(&session, views, &numbering, &args.sequence),
     }
 }
 

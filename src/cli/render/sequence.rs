@@ -7,14 +7,14 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::args::SequenceArgs;
 use super::frame_list::FrameList;
 use super::numbering::Numbering;
-use super::studio::Studio;
+use super::session::RenderSession;
 use crate::cli::error::CommandResult;
 use crate::cli::output;
-use relume_train::render::View;
+use relume_train::render::FrameView;
 
 /// Writes one picture.
-pub(super) fn single(studio: &Studio, view: &View, out: &Path) -> CommandResult {
-    output::write_named(out, &studio.picture(view, &mut None)?)?;
+pub(super) fn single(session: &RenderSession, view: &FrameView, out: &Path) -> CommandResult {
+    output::write_named(out, &session.picture(view, &mut None)?)?;
     eprintln!("wrote {}", out.display());
     Ok(())
 }
@@ -22,8 +22,8 @@ pub(super) fn single(studio: &Studio, view: &View, out: &Path) -> CommandResult 
 /// Writes the frames of `views` in their order, or those whose numbers are asked for. With `resume`, frames that are there are left
 /// as they are.
 pub(super) fn sequence(
-    studio: &Studio,
-    views: &[View],
+    session: &RenderSession,
+    views: &[FrameView],
     numbering: &Numbering,
     args: &SequenceArgs,
 ) -> CommandResult {
@@ -33,7 +33,7 @@ pub(super) fn sequence(
     let (mut light, mut written) = (None, 0);
     for (done, (file, view)) in (1_usize..).zip(&frames) {
         if !(args.resume && file.exists()) {
-            output::write_named(file, &studio.picture(view, &mut light)?)?;
+            output::write_named(file, &session.picture(view, &mut light)?)?;
             written += 1;
         }
         // Without a terminal there is no bar: twenty lines go to the log instead.
@@ -52,10 +52,10 @@ pub(super) fn sequence(
 
 /// The frames to be made, each with its file.
 fn asked_for<'a>(
-    views: &'a [View],
+    views: &'a [FrameView],
     numbering: &Numbering,
     list: Option<&FrameList>,
-) -> CommandResult<Vec<(PathBuf, &'a View)>> {
+) -> CommandResult<Vec<(PathBuf, &'a FrameView)>> {
     if let Some(list) = list {
         list.check(numbering.number(0), numbering.number(views.len() - 1))?;
     }

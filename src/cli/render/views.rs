@@ -3,14 +3,14 @@
 use super::args::CameraArgs;
 use crate::cli::error::CommandResult;
 use relume_scene::Model;
-use relume_train::render::{Turntable, View, orbit_camera, turn_light};
+use relume_train::render::{FrameView, Turntable, orbit_camera, rotate_light};
 
 /// What the frames show, in their order: cameras of a file, a turntable or one picture.
 pub(super) fn views(
     args: &CameraArgs,
-    file_cameras: Option<Vec<View>>,
+    file_cameras: Option<Vec<FrameView>>,
     model: &Model,
-) -> CommandResult<Vec<View>> {
+) -> CommandResult<Vec<FrameView>> {
     let size = args.resolution.unwrap_or((args.size, args.size));
     let mut views = match (file_cameras, args.turntable) {
         (Some(views), _) => views,
@@ -21,9 +21,9 @@ pub(super) fn views(
         }
         (None, None) => {
             let camera = orbit_camera(model, args.azimuth, args.elevation, size)?;
-            vec![View { camera, light_turn_deg: 0.0 }]
+            vec![FrameView { camera, light_rotation_deg: 0.0 }]
         }
     };
-    turn_light(&mut views, args.env_turn);
+    rotate_light(&mut views, args.env_turn);
     Ok(views)
 }

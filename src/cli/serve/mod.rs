@@ -13,13 +13,13 @@ use crate::cli::database::DatabaseArgs;
 use crate::server::{self, CorsOrigin, ServerConfig};
 use relume_engine::DeviceChoice;
 
-mod crew;
-mod fairness;
 mod fetching;
 mod keys;
+mod local_workers;
 mod network;
 mod poses;
 mod storage;
+mod tenant_limits;
 mod webhooks;
 
 /// Options of `relume serve`.
@@ -56,7 +56,7 @@ pub(super) struct ServeArgs {
     #[arg(long, env = "RELUME_DEVICE", default_value_t)]
     device: DeviceChoice,
     #[command(flatten)]
-    crew: crew::CrewArgs,
+    local_workers: local_workers::LocalWorkerArgs,
     /// Attempts without a new checkpoint before a job is given up.
     #[arg(long, env = "RELUME_MAX_ATTEMPTS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     max_attempts: u32,
@@ -68,7 +68,7 @@ pub(super) struct ServeArgs {
     #[arg(long = "memory", env = "RELUME_MEMORY", value_name = "MIB", value_parser = clap::value_parser!(u64).range(64..=1 << 24))]
     memory_mib: Option<u64>,
     #[command(flatten)]
-    fairness: fairness::FairnessArgs,
+    tenant_limits: tenant_limits::TenantLimitArgs,
     #[command(flatten)]
     storage: storage::StorageArgs,
     #[command(flatten)]
@@ -76,7 +76,7 @@ pub(super) struct ServeArgs {
     #[command(flatten)]
     fetching: fetching::FetchArgs,
     #[command(flatten)]
-    poses: poses::PosesArgs,
+    poses: poses::ServePosesArgs,
     #[command(flatten)]
     webhooks: webhooks::WebhookArgs,
 }
@@ -98,7 +98,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     if let Some(mib) = args.memory_mib {
         config.limits.memory_bytes = mib << 20;
     }
-    args.fairness.apply(&mut config);
+    args.tenant_limits.apply(&mut config);
     config.limits.disk_bytes = args.storage.max_disk;
     config.thumbnail_cache = args.storage.thumbnail_cache;
     config.artifacts = args.artifacts.place().map(|place| args.storage.bounded(place));
@@ -108,7 +108,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     config.retention = args.storage.retention();
     config.uploads.life = args.storage.upload_life();
     config.worker.device = args.device;
-    args.crew.apply(&mut config)?;
+    args.local_workers.apply(&mut config)?;
     config.worker.import_limits.max_image_pixels = args.max_photo_megapixels * 1_000_000;
     config.lease.max_idle_attempts = args.max_attempts;
     config.lease.heartbeat_timeout = Duration::from_secs(args.worker_silence);

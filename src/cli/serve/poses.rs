@@ -9,7 +9,7 @@ use crate::server::ServerConfig;
 
 /// Whether poses are looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Poses {
+enum PoseSearch {
     /// Where COLMAP is installed.
     Auto,
     /// Never: captures must have poses.
@@ -18,10 +18,10 @@ enum Poses {
 
 /// Options about photographs that come without poses.
 #[derive(Debug, clap::Args)]
-pub(super) struct PosesArgs {
+pub(super) struct ServePosesArgs {
     /// Whether captures may be photographs without poses: `auto` where COLMAP is on PATH, which finds them, one capture at a time.
     #[arg(long, env = "RELUME_POSES", value_enum, default_value = "auto")]
-    poses: Poses,
+    poses: PoseSearch,
     /// Minutes that COLMAP may work on one capture.
     #[arg(long, env = "RELUME_POSES_TIMEOUT", value_name = "MINUTES", value_parser = clap::value_parser!(u64).range(1..=100_000), default_value = "240")]
     poses_timeout: u64,
@@ -33,9 +33,9 @@ pub(super) struct PosesArgs {
     poses_memory: Option<u64>,
 }
 
-impl PosesArgs {
+impl ServePosesArgs {
     pub(super) fn apply(&self, config: &mut ServerConfig) {
-        config.poses.is_on = self.poses == Poses::Auto;
+        config.poses.is_on = self.poses == PoseSearch::Auto;
         config.poses.timeout = Duration::from_secs(60 * self.poses_timeout);
         config.poses.threads = self.poses_threads;
         config.poses.memory = self.poses_memory;

@@ -16,7 +16,7 @@ use crate::store::{ExportRecord, ExportedFile, make_private};
 use crate::worker::{ModelSource, RenderTask};
 use relume_api::exports::{FramesExport, Package};
 use relume_spec::rendering::{Background, FrameFormat};
-use relume_train::render::{Finish, View, Viewpoint};
+use relume_train::render::{EncodeOptions, FrameView, Viewpoint};
 
 /// Frames a second of a video that states none.
 const FPS: u32 = 24;
@@ -69,7 +69,7 @@ async fn views(
     app: &AppState,
     plan: &Arc<FramesPlan>,
     source: &ModelSource,
-) -> Result<Vec<View>, ExportError> {
+) -> Result<Vec<FrameView>, ExportError> {
     if !plan.needs_model() {
         return Ok(plan.path_views());
     }
@@ -83,24 +83,24 @@ async fn frame(
     model: &ModelSource,
     plan: &FramesPlan,
     spec: &FramesExport,
-    view: &View,
+    view: &FrameView,
 ) -> Result<Vec<u8>, ExportError> {
     let task = RenderTask {
         model: model.clone(),
         light: plan.light.clone(),
-        rotation_deg: spec.environment.rotation_deg + view.light_turn_deg,
+        rotation_deg: spec.environment.rotation_deg + view.light_rotation_deg,
         exposure_ev: spec.environment.exposure_ev,
         viewpoint: Viewpoint::Camera(view.camera),
-        shows_environment: plan.finish.background == Background::Environment,
+        shows_environment: plan.encoding.background == Background::Environment,
         quality: plan.quality,
         outputs: spec.outputs.clone(),
     };
-    let mut notes = renders::notes(&task, Some(view.camera));
-    notes.frames_per_second = spec.frames_per_second;
-    let finish = Finish { notes, ..plan.finish.clone() };
+    let mut frame_metadata = renders::notes(&task, Some(view.camera));
+    frame_metadata.frames_per_second = spec.frames_per_second;
+    let encoding = EncodeOptions { frame_metadata, ..plan.encoding.clone() };
     let busy_retry = BusyRetry::new();
     loop {
-        match renders::render_in_background(app, task.clone(), plan.format, finish.clone()).await {
+        match renders::render_in_background(app, task.clone(), plan.format, encoding.clone()).await {
             Ok(bytes) => return Ok(bytes),
             Err(refusal) => busy_retry.wait(refusal).await?,
         }

@@ -11,7 +11,7 @@ use relume_api::TenantId;
 use relume_api::exports::{FramesExport, Package, TurntableSpec};
 use relume_scene::Model;
 use relume_spec::rendering::{Background, FrameFormat, Quality, ToneCurve, is_colour};
-use relume_train::render::{Finish, FrameNotes, Turntable, View, resized, turn_light};
+use relume_train::render::{EncodeOptions, FrameMetadata, FrameView, Turntable, resized, rotate_light};
 
 /// Most frames of an export.
 const MOST_FRAMES: usize = 10_000;
@@ -25,7 +25,7 @@ pub(super) struct FramesPlan {
     pub(super) light: LightSource,
     pub(super) quality: Quality,
     /// Of all frames; the notes lack what is of one.
-    pub(super) finish: Finish,
+    pub(super) encoding: EncodeOptions,
     pub(super) format: FrameFormat,
     cameras: Cameras,
     environment_turn_deg: f64,
@@ -33,7 +33,7 @@ pub(super) struct FramesPlan {
 
 enum Cameras {
     Turntable(Turntable),
-    Path(Vec<View>),
+    Path(Vec<FrameView>),
 }
 
 impl FramesPlan {
@@ -49,14 +49,14 @@ impl FramesPlan {
             return Err(Problem::invalid_field("/frames_per_second", "must be 1 to 100000"));
         }
         let quality = quality(spec.tier, spec.samples, spec.seed, cameras.largest(), app.device.has_gpu())?;
-        let finish = finish(spec);
-        check_finish(&finish, &spec.outputs, spec.format)?;
+        let encoding = finish(spec);
+        check_finish(&encoding, &spec.outputs, spec.format)?;
         if spec.package == Package::Mp4 {
             check_video(app, spec, &cameras)?;
         }
         let light = light(app, tenant, &spec.environment).await?;
         let (format, environment_turn_deg) = (spec.format, spec.environment_turn_deg);
-        Ok(Self { light, quality, finish, format, cameras, environment_turn_deg })
+        Ok(Self { light, quality, encoding, format, cameras, environment_turn_deg })
     }
 
     /// How many.
@@ -73,7 +73,7 @@ impl FramesPlan {
     }
 
     /// The views of a path.
-    pub(super) fn path_views(&self) -> Vec<View> {
+    pub(super) fn path_views(&self) -> Vec<FrameView> {
         match &self.cameras {
             Cameras::Turntable(_) => Vec::new(),
             Cameras::Path(views) => self.turned(views.clone()),
@@ -84,7 +84,7 @@ impl FramesPlan {
     ///
     /// # Errors
     /// 422 for a turntable without cameras.
-    pub(super) fn views(&self, model: &Model) -> Result<Vec<View>, Problem> {
+    pub(super) fn views(&self, model: &Model) -> Result<Vec<FrameView>, Problem> {
         let Cameras::Turntable(turntable) = &self.cameras else { return Ok(self.path_views()) };
         let refused = |error: relume_scene::CameraError| {
             Problem::invalid_field(format!("/turntable/{}", error.field), error.reason)
@@ -92,8 +92,8 @@ impl FramesPlan {
         Ok(self.turned(turntable.views(model).map_err(refused)?))
     }
 
-    fn turned(&self, mut views: Vec<View>) -> Vec<View> {
-        turn_light(&mut views, self.environment_turn_deg);
+    fn turned(&self, mut views: Vec<FrameView>) -> Vec<FrameView> {
+        rotate_light(&mut views, self.environment_turn_deg);
         views
     }
 }
@@ -146,7 +146,7 @@ fn turntable(spec: &TurntableSpec, size: (u32, u32)) -> Result<Turntable, Proble
     Ok(Turntable { frames, azimuth_deg, elevation_deg, camera_turn_deg, size })
 }
 
-fn path(spec: &FramesExport, size: Option<(u32, u32)>) -> Result<Vec<View>, Problem> {
+fn path(spec: &FramesExport, size: Option<(u32, u32)>) -> Result<Vec<FrameView>, Problem> {
     let refused = |pointer: String, why: String| Problem::invalid_field(format!("/path{pointer}"), why);
     if let Some(world) = &spec.path_world {
         world.check().map_err(|why| Problem::invalid_field("/path_world", why))?;
@@ -171,19 +171,22 @@ fn path(spec: &FramesExport, size: Option<(u32, u32)>) -> Result<Vec<View>, Prob
 }
 
 /// How frames become files. A video has no alpha: where nothing is, it shows white as a JPEG does.
-fn finish(spec: &FramesExport) -> Finish {
+fn finish(spec: &FramesExport) -> EncodeOptions {
     let shows_colour = spec.outputs.first().is_some_and(|output| is_colour(*output));
     let background = match (spec.background, spec.package) {
         (Background::Transparent, Package::Mp4) if shows_colour => Background::Colour([255; 3]),
         (background, _) => background,
     };
-    Finish {
+    EncodeOptions {
         background,
         tone_curve: spec.tone_curve,
         colour_depth: spec.colour_depth,
         alpha: spec.alpha,
         primaries: spec.primaries,
-        notes: FrameNotes { frames_per_second: spec.frames_per_second, ..FrameNotes::default() },
+        frame_metadata: FrameMetadata {
+            frames_per_second: spec.frames_per_second,
+            ..FrameMetadata::default()
+        },
     }
 }
 

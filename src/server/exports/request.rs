@@ -9,7 +9,7 @@ use crate::server::extract;
 use crate::server::problem::Problem;
 use relume_api::TenantId;
 use relume_api::exports::{NewExport, SplatsExport};
-use relume_spec::rendering::{MOST_BAKED_DEGREE, Shown};
+use relume_spec::rendering::{ExportedColour, MAX_BAKED_DEGREE};
 
 /// Reads a body by its `kind`.
 ///
@@ -39,10 +39,10 @@ pub(super) async fn check(app: &AppState, tenant: &TenantId, export: &NewExport)
             if let Some(environment) = &splats.environment {
                 light(app, tenant, environment).await?;
             }
-            if splats.relit_degree as usize > MOST_BAKED_DEGREE {
+            if splats.relit_degree as usize > MAX_BAKED_DEGREE {
                 return Err(Problem::invalid_field(
                     "/relit_degree",
-                    format!("must be 0 to {MOST_BAKED_DEGREE}"),
+                    format!("must be 0 to {MAX_BAKED_DEGREE}"),
                 ));
             }
             Ok(1)
@@ -58,10 +58,10 @@ pub(super) async fn check(app: &AppState, tenant: &TenantId, export: &NewExport)
 ///
 /// # Errors
 /// 422 for a light that nothing shows.
-pub(super) fn shown(splats: &SplatsExport) -> Result<Option<Shown>, Problem> {
+pub(super) fn shown(splats: &SplatsExport) -> Result<Option<ExportedColour>, Problem> {
     match (splats.layer, &splats.environment) {
         (layer, None) => Ok(layer),
-        (Some(Shown::Relit) | None, Some(_)) => Ok(Some(Shown::Relit)),
+        (Some(ExportedColour::Relit) | None, Some(_)) => Ok(Some(ExportedColour::Relit)),
         (Some(_), Some(_)) => {
             Err(Problem::invalid_field("/environment", "is allowed only with the layer relit"))
         }

@@ -12,7 +12,7 @@ use relume_api::exports::{ExportKind, MeshExport, SplatsExport};
 use relume_api::renders::EnvironmentSpec;
 use relume_capture::formats::model_file;
 use relume_scene::{Illumination, Model};
-use relume_spec::rendering::Shown;
+use relume_spec::rendering::ExportedColour;
 use relume_train::render::{SplatFile, SplatFileError, encode_mesh_file, encode_splat_file, relit};
 
 /// Makes a file of Gaussians.
@@ -24,7 +24,7 @@ pub(super) async fn make(
     let shown = request::shown(spec)?;
     let environment = spec.environment.clone().unwrap_or_default();
     let light = match shown {
-        Some(Shown::Relit) => Some(light(app, &export.tenant, &environment).await?),
+        Some(ExportedColour::Relit) => Some(light(app, &export.tenant, &environment).await?),
         _ => None,
     };
     let (file, extension, content_type) = file_of(export.kind);
@@ -113,14 +113,14 @@ fn file_of(kind: ExportKind) -> (SplatFile, &'static str, &'static str) {
     }
 }
 
-fn layer_name(shown: Shown) -> &'static str {
+fn layer_name(shown: ExportedColour) -> &'static str {
     match shown {
-        Shown::Radiance => "radiance",
-        Shown::Relit => "relit",
-        Shown::Albedo => "albedo",
-        Shown::Normal => "normal",
-        Shown::Roughness => "roughness",
-        Shown::Metallic => "metallic",
+        ExportedColour::Radiance => "radiance",
+        ExportedColour::Relit => "relit",
+        ExportedColour::Albedo => "albedo",
+        ExportedColour::Normal => "normal",
+        ExportedColour::Roughness => "roughness",
+        ExportedColour::Metallic => "metallic",
     }
 }
 

@@ -16,7 +16,7 @@ use crate::server::caller::Caller;
 use crate::server::extract::{NoQuery, QueryString, UrlPath};
 use crate::server::problem::Problem;
 use relume_api::CaptureId;
-use relume_capture::Source;
+use relume_capture::CaptureFiles;
 
 /// Most bytes of a log that are kept and sent: its end.
 const LONGEST: u64 = 1 << 20;
@@ -52,7 +52,7 @@ async fn get_log(
             app.store.artifacts().verify(&capture.artifact, &capture.sha256).await?;
             let path = app.store.artifacts().local_path(&capture.artifact);
             let limits = app.import_limits;
-            let read = move || Source::open(&path, &limits)?.read(LOG);
+            let read = move || CaptureFiles::open(&path, &limits)?.read(LOG);
             let bytes = app.decoders.run(read).await?.map_err(Problem::internal)?;
             String::from_utf8_lossy(&bytes).into_owned()
         }

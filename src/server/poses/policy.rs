@@ -41,7 +41,7 @@ impl PosesPolicy {
             program: self.program.clone(),
             threads: self.threads,
             memory: Some(self.memory.unwrap_or_else(default_budget)),
-            makes_way: true,
+            low_priority: true,
             ..PoseOptions::default()
         }
     }

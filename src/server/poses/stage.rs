@@ -17,8 +17,8 @@ use crate::server::problem::Problem;
 use crate::store::StagedUpload;
 use relume_api::problem::ContentError;
 use relume_api::{CaptureId, TenantId};
-use relume_capture::poses::{PoseError, Watch, find_poses};
-use relume_capture::{ImportLimits, Unposed};
+use relume_capture::poses::{PoseError, RunControl, find_poses};
+use relume_capture::{ImportLimits, PhotosWithoutPoses};
 
 /// Whether an upload is one of photographs without poses, and this server finds them.
 pub(in crate::server) async fn needs_poses(app: &AppState, incoming: &StagedUpload) -> Result<bool, Problem> {
@@ -44,7 +44,7 @@ pub(in crate::server) async fn refusal(
 async fn are_photographs(app: &AppState, incoming: &StagedUpload) -> Result<bool, Problem> {
     let (path, limits) = (incoming.path.clone(), app.import_limits);
     // What cannot be opened is refused by the validation, with its reason.
-    app.decoders.run(move || matches!(Unposed::open(&path, &limits), Ok(Some(_)))).await
+    app.decoders.run(move || matches!(PhotosWithoutPoses::open(&path, &limits), Ok(Some(_)))).await
 }
 
 /// Finds the poses of the photographs of an upload: gives the posed capture in its place. What COLMAP makes on the way is kept for
@@ -103,12 +103,12 @@ impl PoseTask {
         let limits: ImportLimits = self.app.import_limits;
         let plain = self.folder.join("photographs.tar");
         let upload = if unpack(upload, &plain, limits.max_gzip_bytes)? { &plain } else { upload };
-        let Some(photographs) = Unposed::open(upload, &limits)? else { return Ok(()) };
+        let Some(photographs) = PhotosWithoutPoses::open(upload, &limits)? else { return Ok(()) };
         let mut progress = |progress| self.pose_job.set_progress(progress);
         let is_cancelled = || self.pose_job.cancelled.is_cancelled() || self.stop.is_cancelled();
-        let mut watch = Watch::new(policy.timeout, &mut progress, &is_cancelled);
-        let found = find_poses(&photographs, &self.folder, &policy.options(), &mut watch)?;
-        let placed = found.photographs - found.unplaced.len();
+        let mut run_control = RunControl::new(policy.timeout, &mut progress, &is_cancelled);
+        let found = find_poses(&photographs, &self.folder, &policy.options(), &mut run_control)?;
+        let placed = found.photographs - found.unregistered.len();
         tracing::info!(placed, photographs = found.photographs, "found poses");
         Ok(())
     }
@@ -161,7 +161,7 @@ fn told(error: &PoseError, folder: &Path) -> Problem {
             let (file, field) = (error.file().map(str::to_owned), error.field().map(str::to_owned));
             Problem::invalid_content(ContentError { code: error.code().to_owned(), file, field }, detail)
         }
-        PoseError::Io { .. } | PoseError::OfOthers(_) | PoseError::Capture(_) => {
+        PoseError::Io { .. } | PoseError::FolderNotEmpty(_) | PoseError::Capture(_) => {
             Problem::storage_failed(error)
         }
     }

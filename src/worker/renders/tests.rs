@@ -15,7 +15,7 @@ fn model(folder: &tempfile::TempDir) -> ModelSource {
         gaussians.row_mut(Field::LogScale, i).fill(0.2f32.ln());
         gaussians.row_mut(Field::Quaternion, i)[0] = 1.0;
         gaussians.row_mut(Field::OpacityLogit, i)[0] = 4.0;
-        gaussians.row_mut(Field::Visibility, i)[0] = relume_scene::light::FULLY_OPEN;
+        gaussians.row_mut(Field::Visibility, i)[0] = relume_scene::light::UNOCCLUDED_SH0;
     }
     let model = Model {
         gaussians,
@@ -124,7 +124,7 @@ fn abandoned_render_stops_before_the_next_stage() {
 fn abandoned_expensive_frame_stops_between_bands() {
     let folder = tempfile::TempDir::new().unwrap();
     let orbit = Orbit { azimuth_deg: Some(10.0), elevation_deg: Some(20.0), size: 40 };
-    let quality = Quality::monte_carlo(Quality::MOST_SAMPLES);
+    let quality = Quality::monte_carlo(Quality::MAX_SAMPLES);
     let task = RenderTask {
         viewpoint: Viewpoint::Orbit(orbit),
         quality,

@@ -12,7 +12,7 @@ use crate::worker::training::outcome::{AttemptEnd, AttemptError, ENVIRONMENT_MIS
 use relume_api::EnvironmentId;
 use relume_capture::{BUILTIN, Capture, ImportLimits};
 use relume_spec::training::TrainConfig;
-use relume_train::{MemoryNeed, PhotographSizes, Room, import_for_training};
+use relume_train::{MemoryBudget, MemoryEstimate, PhotographSizes, import_for_training};
 
 impl Worker {
     /// Reads the capture on another thread while this one renders; stops early when the job is to stop.
@@ -29,8 +29,8 @@ impl Worker {
         let light = known_light(claim, config).await?;
         let (config, limits) = (config.clone(), self.import_limits);
         // What is taken now may be free when the job is tried again; what the machine does not have never is.
-        let room = Room::of_machine(self.device_of(claim)?);
-        let read = move || load(&path, &config, &limits, room, light.as_ref());
+        let budget = MemoryBudget::of_machine(self.device_of(claim)?);
+        let read = move || load(&path, &config, &limits, budget, light.as_ref());
         let capture = match self.run_in_background(claim, read).await? {
             ControlFlow::Continue(capture) => capture?,
             ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
@@ -63,12 +63,12 @@ fn load(
     path: &Path,
     config: &TrainConfig,
     limits: &ImportLimits,
-    room: Room,
+    budget: MemoryBudget,
     light: Option<&LightSource>,
 ) -> Result<Capture, AttemptError> {
-    let mut capture = import_for_training(path, config, limits, room)?;
-    let memory = MemoryNeed::of(&PhotographSizes::of(&capture), config, room.on_device);
-    tracing::info!(%memory, available = room.available, "the memory that a training takes");
+    let mut capture = import_for_training(path, config, limits, budget)?;
+    let memory = MemoryEstimate::of(&PhotographSizes::of(&capture), config, budget.on_device);
+    tracing::info!(%memory, available = budget.available, "the memory that a training takes");
     if let (Some(known), Some(source)) = (&config.light, light) {
         let map = source
             .map()

@@ -11,7 +11,7 @@ use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError};
 use relume_capture::Capture;
 use relume_spec::training::TrainConfig;
-use relume_train::{Preparation, TrainError, Trainer};
+use relume_train::{PreparedTraining, TrainError, Trainer};
 
 impl Worker {
     /// Continues from the last checkpoint, or starts over when none can be read.
@@ -49,11 +49,11 @@ fn prepare(
     capture: &Capture,
     config: TrainConfig,
     checkpoint: Option<Result<Bytes, JobSourceError>>,
-) -> Result<(Preparation, Option<TrainError>), TrainError> {
-    let Some(checkpoint) = checkpoint else { return Ok((Preparation::new(capture, config)?, None)) };
+) -> Result<(PreparedTraining, Option<TrainError>), TrainError> {
+    let Some(checkpoint) = checkpoint else { return Ok((PreparedTraining::new(capture, config)?, None)) };
     let bytes = checkpoint.map_err(|error| TrainError::Checkpoint(error.to_string()));
-    match bytes.and_then(|bytes| Preparation::resume(capture, config.clone(), &bytes)) {
+    match bytes.and_then(|bytes| PreparedTraining::resume(capture, config.clone(), &bytes)) {
         Ok(preparation) => Ok((preparation, None)),
-        Err(error) => Ok((Preparation::new(capture, config)?, Some(error))),
+        Err(error) => Ok((PreparedTraining::new(capture, config)?, Some(error))),
     }
 }

@@ -1,6 +1,6 @@
 //! What a photographer should know of a set of photographs.
 
-use super::photo::PhotoFacts;
+use super::photo::PhotoStats;
 
 /// Fewer photographs than these are too few, or few.
 const TOO_FEW: usize = 12;
@@ -32,7 +32,7 @@ pub struct Finding {
 }
 
 /// Everything there is to say, problems first.
-pub(super) fn findings(photos: &[PhotoFacts], unreadable: &[String]) -> Vec<Finding> {
+pub(super) fn findings(photos: &[PhotoStats], unreadable: &[String]) -> Vec<Finding> {
     let mut all = Vec::new();
     all.extend(number(photos.len()));
     if !unreadable.is_empty() {
@@ -76,7 +76,7 @@ fn number(photos: usize) -> Option<Finding> {
 }
 
 /// A finding of the photographs for which `is_so`; a problem where they are many.
-fn about(photos: &[PhotoFacts], what: &str, is_so: impl Fn(&PhotoFacts) -> bool) -> Option<Finding> {
+fn about(photos: &[PhotoStats], what: &str, is_so: impl Fn(&PhotoStats) -> bool) -> Option<Finding> {
     let names: Vec<String> =
         photos.iter().filter(|photo| is_so(photo)).map(|photo| photo.name.clone()).collect();
     let is_problem = names.len() as f64 > MANY * photos.len() as f64;
@@ -89,7 +89,7 @@ fn hint(finding: Finding) -> Finding {
 }
 
 /// What the camera chose from one photograph to the next.
-fn camera(photos: &[PhotoFacts]) -> Vec<Finding> {
+fn camera(photos: &[PhotoStats]) -> Vec<Finding> {
     let mut found = Vec::new();
     let mut say = |text: String| found.push(Finding { is_problem: false, text, photos: Vec::new() });
     let exposures: Vec<f64> = photos.iter().filter_map(|photo| photo.camera.exposure_ev()).collect();
@@ -105,7 +105,7 @@ fn camera(photos: &[PhotoFacts]) -> Vec<Finding> {
     if auto > 0 {
         say(format!("the camera chose the white balance of {auto} photographs: fix it"));
     }
-    let differ = |of: &dyn Fn(&PhotoFacts) -> Option<String>| {
+    let differ = |of: &dyn Fn(&PhotoStats) -> Option<String>| {
         let mut values: Vec<String> = photos.iter().filter_map(of).collect();
         values.sort();
         values.dedup();
@@ -128,19 +128,19 @@ fn median(mut values: Vec<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::exif_facts::ExifFacts;
+    use crate::formats::exif_data::ExifData;
 
     /// Fifty photographs without a fault.
-    fn sound() -> Vec<PhotoFacts> {
-        let camera = ExifFacts {
+    fn sound() -> Vec<PhotoStats> {
+        let camera = ExifData {
             exposure_s: Some(0.01),
             f_number: Some(2.0),
             iso: Some(100.0),
             focal_mm: Some(5.0),
             auto_white_balance: Some(false),
-            ..ExifFacts::default()
+            ..ExifData::default()
         };
-        let photo = |i: usize| PhotoFacts {
+        let photo = |i: usize| PhotoStats {
             name: format!("{i}.jpg"),
             size: (4000, 3000),
             sharpness: 100.0 + i as f64,
@@ -159,7 +159,7 @@ mod tests {
 
     #[test]
     fn each_fault_gives_a_finding_and_frequent_faults_are_problems() {
-        type Fault = fn(&mut PhotoFacts);
+        type Fault = fn(&mut PhotoStats);
         let faults: [(Fault, &str, bool); 7] = [
             (|p| p.sharpness = 10.0, "blurred", true),
             (|p| p.overlap = 0.1, "resemble no other", true),

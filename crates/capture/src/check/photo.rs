@@ -1,7 +1,7 @@
 //! What one photograph tells by itself.
 
 use super::overlap::Thumbnail;
-use crate::formats::exif_facts::{self, ExifFacts};
+use crate::formats::exif_data::{self, ExifData};
 use crate::formats::image_file;
 use crate::sharpness::{SIDE, luma, sharpness};
 use crate::{CaptureError, ImportOptions};
@@ -12,7 +12,7 @@ const WHITE: f32 = 253.5 / 255.0;
 
 /// What one photograph tells.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct PhotoFacts {
+pub struct PhotoStats {
     /// Its name.
     pub name: String,
     /// Width and height, pixels.
@@ -26,24 +26,24 @@ pub struct PhotoFacts {
     /// How much it resembles the photograph that it resembles most, -1 to 1; 0 where there is no other.
     pub overlap: f64,
     /// What the camera noted.
-    pub camera: ExifFacts,
+    pub camera: ExifData,
 }
 
 /// Looks at a photograph, reduced.
-pub(super) fn look_at(name: &str, bytes: &[u8]) -> Result<(PhotoFacts, Thumbnail), CaptureError> {
+pub(super) fn analyse(name: &str, bytes: &[u8]) -> Result<(PhotoStats, Thumbnail), CaptureError> {
     let reduce = |size| ImportOptions::at_most(SIDE).reduced_size(size);
     let decoded = image_file::decode_reduced(bytes, image_file::DEFAULT_MAX_PIXELS, reduce);
     let (image, size) = decoded.map_err(|error| CaptureError::image(name, error))?;
-    let facts = facts(name, &image, size, exif_facts::read(bytes));
-    Ok((facts, Thumbnail::of(&image)))
+    let stats = stats(name, &image, size, exif_data::read(bytes));
+    Ok((stats, Thumbnail::of(&image)))
 }
 
 /// What a reduced image of a photograph of `size` pixels tells; what is transparent does not count.
-pub(super) fn facts(name: &str, image: &ImageRgba, size: (u32, u32), camera: ExifFacts) -> PhotoFacts {
+pub(super) fn stats(name: &str, image: &ImageRgba, size: (u32, u32), camera: ExifData) -> PhotoStats {
     let opaque = |pixel: &[f32; 4]| f64::from(pixel[3]);
     let count = image.pixels.iter().map(opaque).sum::<f64>().max(1e-6);
     let is_clipped = |pixel: &&[f32; 4]| pixel[..3].iter().any(|v| *v >= WHITE);
-    PhotoFacts {
+    PhotoStats {
         name: name.to_owned(),
         size,
         sharpness: sharpness(image),

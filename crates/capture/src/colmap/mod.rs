@@ -15,7 +15,7 @@ use crate::formats::ply_points::Point;
 use crate::photos::{PhotoEntry, Split, check_missing};
 use crate::truth::TruthFiles;
 use crate::upright::upright;
-use crate::{CaptureError, Source, masks};
+use crate::{CaptureError, CaptureFiles, masks};
 
 /// Folders that may hold a sparse model; the first that does is used.
 const FOLDERS: [&str; 5] = ["sparse/0/", "sparse/", "colmap/sparse/0/", "0/", ""];
@@ -24,7 +24,7 @@ const IMAGE_FOLDERS: [&str; 6] = ["images/", "", "input/", "images_2/", "images_
 
 /// How the files of a model are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Encoding {
+enum ModelEncoding {
     Binary,
     Text,
 }
@@ -33,22 +33,22 @@ enum Encoding {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ModelFiles {
     folder: &'static str,
-    encoding: Encoding,
+    encoding: ModelEncoding,
 }
 
 impl ModelFiles {
     fn path(self, name: &str) -> String {
         let ending = match self.encoding {
-            Encoding::Binary => "bin",
-            Encoding::Text => "txt",
+            ModelEncoding::Binary => "bin",
+            ModelEncoding::Text => "txt",
         };
         format!("{}{name}.{ending}", self.folder)
     }
 }
 
 /// The files of a sparse model, if there is one.
-pub(super) fn find(source: &Source) -> Option<ModelFiles> {
-    let encodings = [Encoding::Binary, Encoding::Text];
+pub(super) fn find(source: &CaptureFiles) -> Option<ModelFiles> {
+    let encodings = [ModelEncoding::Binary, ModelEncoding::Text];
     let mut candidates =
         FOLDERS.iter().flat_map(|folder| encodings.map(|encoding| ModelFiles { folder, encoding }));
     candidates.find(|files| ["cameras", "images"].iter().all(|name| source.contains(&files.path(name))))
@@ -59,7 +59,7 @@ pub(super) fn find(source: &Source) -> Option<ModelFiles> {
 /// # Errors
 /// Names the model file and the field at fault, or counts the images when too few are there.
 pub(super) fn read(
-    source: &Source,
+    source: &CaptureFiles,
     files: ModelFiles,
     warnings: &mut Vec<String>,
 ) -> Result<(Vec<PhotoEntry>, Vec<Point>), CaptureError> {
@@ -83,7 +83,7 @@ pub(super) fn read(
 /// # Errors
 /// Names the model file and the field at fault.
 pub(super) fn stated(
-    source: &Source,
+    source: &CaptureFiles,
     files: ModelFiles,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<PhotoEntry>, CaptureError> {
@@ -98,20 +98,20 @@ pub(super) fn stated(
 ///
 /// # Errors
 /// Names the file, and the entry whose value is unusable.
-fn read_model(source: &Source, files: ModelFiles) -> Result<SparseModel, CaptureError> {
+fn read_model(source: &CaptureFiles, files: ModelFiles) -> Result<SparseModel, CaptureError> {
     let [in_cameras, in_images, in_points] = &["cameras", "images", "points3D"].map(|name| files.path(name));
     let limits = source.limits();
     let (cameras, images) = (source.read(in_cameras)?, source.read(in_images)?);
     let points = source.contains(in_points).then(|| source.read(in_points)).transpose()?;
     match files.encoding {
-        Encoding::Binary => Ok(SparseModel {
+        ModelEncoding::Binary => Ok(SparseModel {
             lenses: binary::cameras(ByteReader::new(in_cameras, &cameras))?,
             images: binary::images(ByteReader::new(in_images, &images), limits.max_images)?,
             points: points.map_or(Ok(Vec::new()), |bytes| {
                 binary::points(ByteReader::new(in_points, &bytes), limits.max_points)
             })?,
         }),
-        Encoding::Text => Ok(SparseModel {
+        ModelEncoding::Text => Ok(SparseModel {
             lenses: text::cameras(&TextFile::new(in_cameras, &cameras)?)?,
             images: text::images(&TextFile::new(in_images, &images)?, limits.max_images)?,
             points: points.map_or(Ok(Vec::new()), |bytes| {
@@ -121,12 +121,12 @@ fn read_model(source: &Source, files: ModelFiles) -> Result<SparseModel, Capture
     }
 }
 
-fn locate(source: &Source, name: &str) -> Option<String> {
+fn locate(source: &CaptureFiles, name: &str) -> Option<String> {
     IMAGE_FOLDERS.iter().map(|folder| format!("{folder}{name}")).find(|path| source.contains(path))
 }
 
 fn photo(
-    source: &Source,
+    source: &CaptureFiles,
     model: &SparseModel,
     image: &PosedImage,
     path: String,

@@ -97,7 +97,7 @@ pub fn encode_while(
     ];
     let parts = parts.into_iter().filter(|p| !p.2.is_empty());
     let parts = parts.map(|(name, interop, content, depth)| part(frame, name, interop, content, depth));
-    let parts: Vec<Part<'_>> = parts.collect::<Result<_, _>>()?;
+    let parts: Vec<ExrPart<'_>> = parts.collect::<Result<_, _>>()?;
     if parts.is_empty() {
         return Err(ImageFileError::Encode("the frame has no layers".to_owned()));
     }
@@ -117,14 +117,14 @@ pub fn encode_while(
 }
 
 /// A part of the file, and where its pixels are.
-struct Part<'a> {
+struct ExrPart<'a> {
     header: Header,
     /// In the order of the header's channels.
-    channels: Vec<Channel<'a>>,
+    channels: Vec<ExrChannel<'a>>,
 }
 
 /// One channel: every `step`th of `values`.
-struct Channel<'a> {
+struct ExrChannel<'a> {
     name: Text,
     values: &'a [f32],
     first: usize,
@@ -132,7 +132,7 @@ struct Channel<'a> {
     depth: ColourDepth,
 }
 
-impl Channel<'_> {
+impl ExrChannel<'_> {
     fn description(&self) -> ChannelDescription {
         let sample = match self.depth {
             ColourDepth::Half => SampleType::F16,
@@ -142,12 +142,12 @@ impl Channel<'_> {
     }
 }
 
-impl Part<'_> {
+impl ExrPart<'_> {
     /// The lines of a block.
     fn block(&self, index: BlockIndex) -> UncompressedBlock {
         let width = self.header.layer_size.width();
         UncompressedBlock::from_lines(&self.header.channels, index, |line| {
-            let Channel { values, first, step, depth, .. } = self.channels[line.location.channel];
+            let ExrChannel { values, first, step, depth, .. } = self.channels[line.location.channel];
             let start = line.location.position.y() * width + line.location.position.x();
             let value = |x: usize| values[first + (start + x) * step];
             // A line in memory has room for what is written to it.
@@ -171,7 +171,7 @@ fn part<'a>(
     interop: &str,
     content: &[FrameLayer<'a>],
     depth: ColourDepth,
-) -> Result<Part<'a>, ImageFileError> {
+) -> Result<ExrPart<'a>, ImageFileError> {
     let mut channels = Vec::new();
     for layer in content {
         let step = layer.suffixes.len();
@@ -181,17 +181,17 @@ fn part<'a>(
         }
         for (first, suffix) in layer.suffixes.chars().enumerate() {
             let name = text(&channel_name(layer.name, suffix))?;
-            channels.push(Channel { name, values: layer.values, first, step, depth });
+            channels.push(ExrChannel { name, values: layer.values, first, step, depth });
         }
     }
     // The order that the format asks for.
     channels.sort_by(|a, b| a.name.cmp(&b.name));
-    let descriptions = channels.iter().map(Channel::description).collect();
+    let descriptions = channels.iter().map(ExrChannel::description).collect();
     let header = Header::new(text(name)?, size(frame), descriptions)
         .with_encoding(Compression::ZIP16, BlockDescription::ScanLines, LineOrder::Increasing)
         .with_shared_attributes(shared_attributes(frame))
         .with_attributes(attributes(frame, name, interop)?);
-    Ok(Part { header, channels })
+    Ok(ExrPart { header, channels })
 }
 
 fn shared_attributes(frame: &FrameLayers<'_>) -> ImageAttributes {

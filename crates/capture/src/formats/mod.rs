@@ -2,7 +2,7 @@
 
 pub mod environment;
 mod error;
-pub mod exif_facts;
+pub mod exif_data;
 pub mod exr_frame;
 mod exr_header;
 pub mod exr_image;

@@ -6,22 +6,22 @@ use serde_json::json;
 
 pub use crate::formats::ply_table::PlyError;
 
-use crate::formats::ply_model::{NOTES_COMMENT, Notes};
-use crate::formats::ply_table::{Table, bad};
-use crate::formats::splats::{MOST_DEGREE, outward_axis};
+use crate::formats::ply_model::{METADATA_COMMENT, PlyMetadata};
+use crate::formats::ply_table::{PlyTable, bad};
+use crate::formats::splats::{MAX_SPLAT_SH_DEGREE, outward_axis};
 use relume_scene::{
     Field, Gaussians, IndirectForm, Model, NormalForm, ShadingOptions, VisibilityForm, sh_count,
     softplus_inverse,
 };
 
 /// Highest SH degree of a visibility field that is read.
-const MOST_VISIBILITY: usize = 8;
+const MAX_VISIBILITY_DEGREE: usize = 8;
 /// Size of the light of a model whose file has none: even, and white.
 const LIGHT_SIZE: (usize, usize) = (16, 8);
 /// Share of the Gaussians that the unit ball of the world shall hold where a file does not say what it holds.
 const HELD: f64 = 0.98;
 /// Farthest from 0 of a logit, so that 0 and 1 have one.
-const LEAST_SHARE: f32 = 1e-7;
+const MIN_PROBABILITY: f32 = 1e-7;
 
 /// Reads a model. Files hold no light: that of the model is white and even. A file without the columns of materials gives a
 /// model of colour alone ([`Model::has_materials`] is false).
@@ -29,12 +29,12 @@ const LEAST_SHARE: f32 = 1e-7;
 /// # Errors
 /// Names the property or vertex that is missing or wrong.
 pub fn decode(bytes: &[u8]) -> Result<Model, PlyError> {
-    let table = Table::read(bytes, usize::MAX)?;
-    let columns = Columns::of(&table)?;
+    let table = PlyTable::read(bytes, usize::MAX)?;
+    let columns = SplatColumns::of(&table)?;
     let mut gaussians = Gaussians::zeroed(
         table.rows().len(),
         1,
-        columns.material.as_ref().map_or(0, |m| m.visibility_order),
+        columns.material.as_ref().map_or(0, |m| m.visibility_degree),
         columns.degree,
     );
     for (i, row) in table.rows().enumerate() {
@@ -60,7 +60,7 @@ pub fn decode(bytes: &[u8]) -> Result<Model, PlyError> {
         framing: None,
         card: json!({ "imported": { "from": "ply", "materials": lit } }),
     };
-    take_notes(&table, &mut model)?;
+    read_metadata(&table, &mut model)?;
     if columns.material.as_ref().is_none_or(|m| m.visibility.is_empty()) {
         (model.shading.visibility, model.shading.indirect) = (VisibilityForm::Off, IndirectForm::Off);
     }
@@ -76,21 +76,21 @@ pub fn decode(bytes: &[u8]) -> Result<Model, PlyError> {
 }
 
 /// What the comments say of how a model is shaded and where it lies; where they say nothing, it lies where the Gaussians are.
-fn take_notes(table: &Table, model: &mut Model) -> Result<(), PlyError> {
+fn read_metadata(table: &PlyTable, model: &mut Model) -> Result<(), PlyError> {
     if table.comments.iter().any(|line| line.ends_with("SplatRenderMode: default")) {
         model.shading.low_pass_compensation = false;
     }
-    match table.comments.iter().find_map(|line| line.strip_prefix(NOTES_COMMENT)) {
+    match table.comments.iter().find_map(|line| line.strip_prefix(METADATA_COMMENT)) {
         Some(text) => {
-            let notes: Notes = match serde_json::from_str(text) {
-                Ok(notes) => notes,
+            let metadata: PlyMetadata = match serde_json::from_str(text) {
+                Ok(metadata) => metadata,
                 Err(error) => return bad("comment relume", error.to_string()),
             };
-            if !(notes.world_scale.is_finite() && notes.world_scale > 0.0) {
+            if !(metadata.world_scale.is_finite() && metadata.world_scale > 0.0) {
                 return bad("comment relume", "world_scale must be above 0");
             }
-            (model.world_scale, model.world_offset) = (notes.world_scale, notes.world_offset);
-            (model.shading, model.framing) = (notes.shading, notes.framing);
+            (model.world_scale, model.world_offset) = (metadata.world_scale, metadata.world_offset);
+            (model.shading, model.framing) = (metadata.shading, metadata.framing);
         }
         None => (model.world_scale, model.world_offset) = around(&model.gaussians),
     }
@@ -138,12 +138,12 @@ fn pick<const N: usize>(row: &[f64], columns: [usize; N]) -> [f32; N] {
 
 /// `logit(share)`, of a share within 0 and 1.
 fn logit(share: f64) -> f32 {
-    let share = (share as f32).clamp(LEAST_SHARE, 1.0 - LEAST_SHARE);
+    let share = (share as f32).clamp(MIN_PROBABILITY, 1.0 - MIN_PROBABILITY);
     (share / (1.0 - share)).ln()
 }
 
 /// Where the numbers of a splat stand in a row.
-struct Columns {
+struct SplatColumns {
     position: [usize; 3],
     scale: [usize; 3],
     rotation: [usize; 4],
@@ -160,15 +160,16 @@ struct MaterialColumns {
     metallic: usize,
     roughness: usize,
     visibility: Vec<usize>,
-    visibility_order: usize,
+    visibility_degree: usize,
     sheen: Option<usize>,
 }
 
-impl Columns {
-    fn of(table: &Table) -> Result<Self, PlyError> {
+impl SplatColumns {
+    fn of(table: &PlyTable) -> Result<Self, PlyError> {
         let rest = numbered(table, "f_rest");
         let bases = rest.len() / 3 + 1;
-        let degree = (0..=MOST_DEGREE).find(|l| sh_count(*l) == bases && rest.len().is_multiple_of(3));
+        let degree =
+            (0..=MAX_SPLAT_SH_DEGREE).find(|l| sh_count(*l) == bases && rest.len().is_multiple_of(3));
         let Some(degree) = degree else {
             return bad("property f_rest_*", format!("{} of them are no SH of degree 0 to 3", rest.len()));
         };
@@ -201,16 +202,16 @@ impl Columns {
 
 impl MaterialColumns {
     /// None where a file has no albedo.
-    fn of(table: &Table) -> Result<Option<Self>, PlyError> {
+    fn of(table: &PlyTable) -> Result<Option<Self>, PlyError> {
         let Ok(albedo) = named(table, ["albedo_0", "albedo_1", "albedo_2"]) else { return Ok(None) };
         let [metallic, roughness] = named(table, ["metallic", "roughness"])?;
         let visibility = numbered(table, "visibility");
-        let order = (0..=MOST_VISIBILITY).find(|l| sh_count(*l) == visibility.len().max(1));
-        let Some(visibility_order) = order else {
+        let sh_degree = (0..=MAX_VISIBILITY_DEGREE).find(|l| sh_count(*l) == visibility.len().max(1));
+        let Some(visibility_degree) = sh_degree else {
             return bad("property visibility_*", format!("{} of them are no SH", visibility.len()));
         };
         let sheen = table.column("sheen");
-        Ok(Some(Self { albedo, metallic, roughness, visibility, visibility_order, sheen }))
+        Ok(Some(Self { albedo, metallic, roughness, visibility, visibility_degree, sheen }))
     }
 
     fn read(&self, row: &[f64], i: usize, out: &mut Gaussians) {
@@ -224,7 +225,7 @@ impl MaterialColumns {
     }
 }
 
-fn named<const N: usize>(table: &Table, names: [&str; N]) -> Result<[usize; N], PlyError> {
+fn named<const N: usize>(table: &PlyTable, names: [&str; N]) -> Result<[usize; N], PlyError> {
     let mut out = [0; N];
     for (o, name) in out.iter_mut().zip(names) {
         match table.column(name) {
@@ -236,14 +237,14 @@ fn named<const N: usize>(table: &Table, names: [&str; N]) -> Result<[usize; N], 
 }
 
 /// Columns `stem_0`, `stem_1`, ... as far as they go.
-fn numbered(table: &Table, stem: &str) -> Vec<usize> {
+fn numbered(table: &PlyTable, stem: &str) -> Vec<usize> {
     (0..).map_while(|k| table.column(&format!("{stem}_{k}"))).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::ply_model::{self, Columns};
+    use crate::formats::ply_model::{self, PlyProperties};
     use crate::formats::splats::{Layer, Splats, tests::example};
     use relume_compare::worst;
 
@@ -263,8 +264,9 @@ mod tests {
         let (a, b) = (Splats::of(a), Splats::of(b));
         let vectors = |v: &[Vec3]| v.iter().flat_map(|v| v.to_array()).collect::<Vec<_>>();
         let materials = |s: &Splats| {
-            let one =
-                |m: &crate::formats::splats::Material| [&m.albedo[..], &[m.metallic, m.roughness]].concat();
+            let one = |m: &crate::formats::splats::SplatMaterial| {
+                [&m.albedo[..], &[m.metallic, m.roughness]].concat()
+            };
             s.materials.iter().flat_map(one).collect::<Vec<_>>()
         };
         near(&vectors(&a.positions), &vectors(&b.positions))
@@ -308,11 +310,11 @@ mod tests {
     fn ordinary_files_give_colour_without_materials() {
         let model = original();
         let plain = Splats::of(&model).painted(Layer::Albedo);
-        let back = decode(&ply_model::encode_splats(&model, &plain, Columns::Ordinary)).unwrap();
+        let back = decode(&ply_model::encode_splats(&model, &plain, PlyProperties::Ordinary)).unwrap();
         assert!(!back.has_materials());
         assert_eq!(back.shading.visibility, VisibilityForm::Off);
         assert!(near(&back.gaussians.row(Field::Radiance, 1)[..3], &plain.harmonics[1]));
-        assert_eq!(back.gaussians.radiance_order(), 3, "as viewers expect it");
+        assert_eq!(back.gaussians.radiance_degree(), 3, "as viewers expect it");
     }
 
     #[test]

@@ -6,20 +6,20 @@
 //! activated, `visibility_*` (SH coefficients, `l * l + l + m`) and, where the model has any, `sheen` (logarithm of
 //! the diffuse term's gain at grazing view; our own, other tools define theirs differently). All values are in capture coordinates.
 //! `comment SplatRenderMode: mip` or `default`, a convention of Brush and gsplat, tells a viewer whether the opacities
-//! need low-pass compensation. `comment relume {...}` says in JSON how the Gaussians are shaded (`Notes`).
+//! need low-pass compensation. `comment relume {...}` says in JSON how the Gaussians are shaded (`PlyMetadata`).
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use crate::formats::splats::{MOST_DEGREE, Splats};
+use crate::formats::splats::{MAX_SPLAT_SH_DEGREE, Splats};
 use relume_scene::{Field, Framing, Model, ShadingOptions, sh_count};
 
-/// Begins the comment that holds [`Notes`].
-pub(super) const NOTES_COMMENT: &str = "comment relume ";
+/// Begins the comment that holds [`PlyMetadata`].
+pub(super) const METADATA_COMMENT: &str = "comment relume ";
 
 /// What a model is beside its Gaussians and its light.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct Notes {
+pub(super) struct PlyMetadata {
     /// Capture to model: `x_model = scale * (x_capture + offset)`.
     pub world_scale: f64,
     /// See `world_scale`; capture units.
@@ -33,7 +33,7 @@ pub(super) struct Notes {
 
 /// Which properties a file has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Columns {
+pub enum PlyProperties {
     /// Those that viewers read.
     Ordinary,
     /// The materials as well.
@@ -42,17 +42,17 @@ pub enum Columns {
 
 /// The bytes of a binary little-endian PLY file with all that it can have of a model.
 pub fn encode(model: &Model) -> Vec<u8> {
-    encode_splats(model, &Splats::of(model), Columns::Relightable)
+    encode_splats(model, &Splats::of(model), PlyProperties::Relightable)
 }
 
 /// The same of `splats`, which were made of `model`, with the properties of `columns`.
-pub fn encode_splats(model: &Model, splats: &Splats, columns: Columns) -> Vec<u8> {
+pub fn encode_splats(model: &Model, splats: &Splats, columns: PlyProperties) -> Vec<u8> {
     let fields = match columns {
-        Columns::Ordinary => &[][..],
-        Columns::Relightable if model.gaussians.field(Field::Sheen).iter().all(|s| *s == 0.0) => {
+        PlyProperties::Ordinary => &[][..],
+        PlyProperties::Relightable if model.gaussians.field(Field::Sheen).iter().all(|s| *s == 0.0) => {
             &[Field::Visibility]
         }
-        Columns::Relightable => &[Field::Visibility, Field::Sheen],
+        PlyProperties::Relightable => &[Field::Visibility, Field::Sheen],
     };
     let names = property_names(model, columns, fields);
     let mut out = header(model, splats.len(), &names, columns).into_bytes();
@@ -61,7 +61,7 @@ pub fn encode_splats(model: &Model, splats: &Splats, columns: Columns) -> Vec<u8
     for i in 0..splats.len() {
         row.clear();
         splat(splats, i, &mut row);
-        if columns == Columns::Relightable {
+        if columns == PlyProperties::Relightable {
             let material = &splats.materials[i];
             row.extend(material.albedo);
             row.extend([material.metallic, material.roughness]);
@@ -73,40 +73,40 @@ pub fn encode_splats(model: &Model, splats: &Splats, columns: Columns) -> Vec<u8
     out
 }
 
-fn header(model: &Model, count: usize, names: &[String], columns: Columns) -> String {
+fn header(model: &Model, count: usize, names: &[String], columns: PlyProperties) -> String {
     let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
-    if columns == Columns::Relightable {
+    if columns == PlyProperties::Relightable {
         text += "comment relight_schema 1\n";
         text += "comment albedo is linear Rec.709; visibility is real SH, index l*l+l+m\n";
     }
     let mode = if model.shading.low_pass_compensation { "mip" } else { "default" };
     text += &format!("comment SplatRenderMode: {mode}\n");
-    let notes = Notes {
+    let metadata = PlyMetadata {
         world_scale: model.world_scale,
         world_offset: model.world_offset,
         shading: model.shading,
         framing: model.framing,
     };
-    text += &format!("{NOTES_COMMENT}{}\n", serde_json::to_string(&notes).unwrap_or_default());
+    text += &format!("{METADATA_COMMENT}{}\n", serde_json::to_string(&metadata).unwrap_or_default());
     text += &format!("element vertex {count}\n");
     names.iter().for_each(|name| text += &format!("property float {name}\n"));
     text + "end_header\n"
 }
 
 /// Properties of a file; after those of its columns come those of `fields`.
-fn property_names(model: &Model, columns: Columns, fields: &[Field]) -> Vec<String> {
+fn property_names(model: &Model, columns: PlyProperties, fields: &[Field]) -> Vec<String> {
     let numbered = |stem: &str, n: usize| (0..n).map(|i| format!("{stem}_{i}")).collect::<Vec<_>>();
     let plain = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
     let mut out = [
         plain(&["x", "y", "z", "nx", "ny", "nz"]),
         numbered("f_dc", 3),
-        numbered("f_rest", 3 * (sh_count(MOST_DEGREE) - 1)),
+        numbered("f_rest", 3 * (sh_count(MAX_SPLAT_SH_DEGREE) - 1)),
         plain(&["opacity"]),
         numbered("scale", 3),
         numbered("rot", 4),
     ]
     .concat();
-    if columns == Columns::Relightable {
+    if columns == PlyProperties::Relightable {
         out.extend(numbered("albedo", 3));
         out.extend(plain(&["metallic", "roughness"]));
     }
@@ -127,7 +127,7 @@ fn splat(splats: &Splats, i: usize, row: &mut Vec<f32>) {
     row.extend(first);
     for channel in 0..3 {
         let rest = rest.iter().map(|c| c[channel]).chain(std::iter::repeat(0.0));
-        row.extend(rest.take(sh_count(MOST_DEGREE) - 1));
+        row.extend(rest.take(sh_count(MAX_SPLAT_SH_DEGREE) - 1));
     }
     row.push(splats.opacity_logits[i]);
     row.extend(splats.log_scales[i]);
@@ -152,7 +152,7 @@ mod tests {
 
     #[test]
     fn first_columns_follow_the_original_3dgs_layout() {
-        let names = property_names(&example(), Columns::Relightable, &[Field::Visibility]);
+        let names = property_names(&example(), PlyProperties::Relightable, &[Field::Visibility]);
         assert_eq!(names[..9], ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]);
         assert_eq!(
             (names[9].as_str(), names[53].as_str(), names[54].as_str()),
@@ -162,7 +162,7 @@ mod tests {
         assert_eq!(names[62..67], ["albedo_0", "albedo_1", "albedo_2", "metallic", "roughness"]);
         assert_eq!(names.len(), 67 + 4);
         assert_eq!(
-            property_names(&example(), Columns::Ordinary, &[]),
+            property_names(&example(), PlyProperties::Ordinary, &[]),
             names[..62],
             "an ordinary file ends there"
         );

@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 pub use crate::formats::ply_table::PlyError;
-use crate::formats::ply_table::{Table, bad};
+use crate::formats::ply_table::{PlyTable, bad};
 use relume_scene::srgb;
 
 /// A position and a linear Rec.709 colour; 0.5 in files without colours.
@@ -15,7 +15,7 @@ pub type Point = (DVec3, [f32; 3]);
 /// Names the header line or vertex at fault. More than `max_points`, or more than a binary file's length allows,
 /// is refused before memory is allocated for them.
 pub fn read_points(bytes: &[u8], max_points: usize) -> Result<Vec<Point>, PlyError> {
-    let table = Table::read(bytes, max_points)?;
+    let table = PlyTable::read(bytes, max_points)?;
     let column = |name: &str| table.column(name);
     let (Some(x), Some(y), Some(z)) = (column("x"), column("y"), column("z")) else {
         return bad("property", "x, y and z must be there");

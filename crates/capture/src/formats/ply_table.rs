@@ -53,7 +53,7 @@ const SCALARS: [Scalar; 8] = [
 ];
 
 /// The vertices of a file.
-pub(super) struct Table {
+pub(super) struct PlyTable {
     properties: Vec<(String, Scalar)>,
     /// Lines of the header that begin with `comment `, whole.
     pub(super) comments: Vec<String>,
@@ -61,7 +61,7 @@ pub(super) struct Table {
     numbers: Vec<f64>,
 }
 
-impl Table {
+impl PlyTable {
     /// Reads the vertices of a file.
     ///
     /// # Errors

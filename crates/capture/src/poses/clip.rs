@@ -6,20 +6,20 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::bounds::Bounds;
 use super::error::PoseError;
-use super::process::Program;
-use super::watch::{PoseProgress, PoseStage, Watch};
+use super::process::ExternalProgram;
+use super::process_limits::ProcessLimits;
+use super::run_control::{PoseProgress, PoseStage, RunControl};
 use crate::formats::image_file;
 use crate::{CaptureError, sharpness};
 
 const INSTALL: &str = "apt-get install ffmpeg, brew install ffmpeg, or https://ffmpeg.org/download.html";
 /// The oldest release whose options are those that are used here; what tells no release is taken for newer.
-const LEAST_VERSION: u32 = 4;
+const MIN_VERSION: u32 = 4;
 /// Frames of an interval that are compared.
 const CANDIDATES: usize = 5;
 /// Most frames a second that are kept: neighbours beyond are the same photograph.
-const MOST_PER_SECOND: f64 = 5.0;
+const MAX_FRAMES_PER_SECOND: f64 = 5.0;
 /// Files that are taken for clips.
 const ENDINGS: [&str; 7] = ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mts"];
 
@@ -55,7 +55,7 @@ pub fn frames_of_clip(
     clip: &Path,
     into: &Path,
     options: &ClipOptions,
-    watch: &mut Watch<'_>,
+    run_control: &mut RunControl<'_>,
 ) -> Result<usize, PoseError> {
     let clip = clip.canonicalize().map_err(PoseError::io(clip))?;
     let mut part = into.as_os_str().to_owned();
@@ -66,9 +66,9 @@ pub fn frames_of_clip(
     }
     fs::create_dir_all(&part).map_err(PoseError::io(&part))?;
     let part = part.canonicalize().map_err(PoseError::io(&part))?;
-    let seconds = duration(&clip, &part, options, watch)?;
-    let frames = options.frames.max(3).min((seconds * MOST_PER_SECOND).ceil().max(1.0) as usize);
-    let candidates = extract(&clip, &part, frames, seconds, options, watch)?;
+    let seconds = duration(&clip, &part, options, run_control)?;
+    let frames = options.frames.max(3).min((seconds * MAX_FRAMES_PER_SECOND).ceil().max(1.0) as usize);
+    let candidates = extract(&clip, &part, frames, seconds, options, run_control)?;
     let chosen = sharpest(&candidates)?;
     for (index, candidate) in chosen.iter().enumerate() {
         let name = part.join(format!("{:04}.jpg", index + 1));
@@ -86,14 +86,20 @@ fn duration(
     clip: &Path,
     part: &Path,
     options: &ClipOptions,
-    watch: &mut Watch<'_>,
+    run_control: &mut RunControl<'_>,
 ) -> Result<f64, PoseError> {
     let log = part.join("ffmpeg.log");
     let name = options.ffprobe.as_os_str();
-    let ffprobe = Program { name, install: INSTALL, log: &log, folder: None, bounds: Bounds::default() };
+    let ffprobe = ExternalProgram {
+        name,
+        install: INSTALL,
+        log: &log,
+        folder: None,
+        process_limits: ProcessLimits::default(),
+    };
     let mut release = None;
-    ffprobe.run(&["-version".as_ref()], watch, &mut |line, _| release = release.or(version(line)))?;
-    if let Some(found) = release.filter(|release| *release < LEAST_VERSION) {
+    ffprobe.run(&["-version".as_ref()], run_control, &mut |line, _| release = release.or(version(line)))?;
+    if let Some(found) = release.filter(|release| *release < MIN_VERSION) {
         return Err(PoseError::TooOld {
             program: options.ffprobe.display().to_string(),
             found: found.to_string(),
@@ -103,7 +109,7 @@ fn duration(
     }
     let asked = ["-v", "error", "-show_entries", "format=duration", "-of", "csv=p=0"].map(OsStr::new);
     let mut seconds = None;
-    ffprobe.run(&[&asked[..], &[clip.as_os_str()]].concat(), watch, &mut |line, _| {
+    ffprobe.run(&[&asked[..], &[clip.as_os_str()]].concat(), run_control, &mut |line, _| {
         seconds = seconds.or(line.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0));
     })?;
     seconds.ok_or_else(|| {
@@ -119,26 +125,30 @@ fn extract(
     frames: usize,
     seconds: f64,
     options: &ClipOptions,
-    watch: &mut Watch<'_>,
+    run_control: &mut RunControl<'_>,
 ) -> Result<Vec<PathBuf>, PoseError> {
     let wanted = frames * CANDIDATES;
     let log = part.join("ffmpeg.log");
     // In the folder itself, since a percent sign in its name would be taken for the place of a number.
-    let ffmpeg = Program {
+    let ffmpeg = ExternalProgram {
         name: options.ffmpeg.as_os_str(),
         install: INSTALL,
         log: &log,
         folder: Some(part),
-        bounds: Bounds::default(),
+        process_limits: ProcessLimits::default(),
     };
     let (rate, most) = (format!("fps={}", wanted as f64 / seconds), wanted.to_string());
     let before = ["-nostdin", "-hide_banner", "-nostats", "-progress", "pipe:1", "-i"].map(OsStr::new);
     let after = ["-vf", &rate, "-frames:v", &most, "-q:v", "2", "candidate_%06d.jpg"].map(OsStr::new);
-    ffmpeg.run(&[&before[..], &[clip.as_os_str()], &after].concat(), watch, &mut |line, watch| {
-        if let Some(done) = line.strip_prefix("frame=").and_then(|n| n.trim().parse().ok()) {
-            (watch.progress)(PoseProgress { stage: PoseStage::Frames, done, total: wanted as u64 });
-        }
-    })?;
+    ffmpeg.run(
+        &[&before[..], &[clip.as_os_str()], &after].concat(),
+        run_control,
+        &mut |line, run_control| {
+            if let Some(done) = line.strip_prefix("frame=").and_then(|n| n.trim().parse().ok()) {
+                (run_control.progress)(PoseProgress { stage: PoseStage::Frames, done, total: wanted as u64 });
+            }
+        },
+    )?;
     let candidate = |i: usize| part.join(format!("candidate_{i:06}.jpg"));
     Ok((1..=wanted).map(candidate).take_while(|file| file.is_file()).collect())
 }

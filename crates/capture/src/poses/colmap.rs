@@ -5,15 +5,15 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::bounds::Bounds;
 use super::error::PoseError;
-use super::process::Program;
-use super::watch::{PoseProgress, PoseStage, Watch};
+use super::process::ExternalProgram;
+use super::process_limits::ProcessLimits;
+use super::run_control::{PoseProgress, PoseStage, RunControl};
 use super::workspace::Workspace;
-use crate::{ImportLimits, Unposed, cameras_of_colmap};
+use crate::{ImportLimits, PhotosWithoutPoses, cameras_of_colmap};
 
 /// The oldest COLMAP whose options are those that are used here.
-const LEAST_VERSION: (u32, u32) = (3, 6);
+const MIN_VERSION: (u32, u32) = (3, 6);
 /// How long it may take to tell its version.
 const HELP_TIME: Duration = Duration::from_secs(60);
 const INSTALL: &str = "apt-get install colmap, brew install colmap, or https://colmap.github.io/install.html; \
@@ -33,7 +33,7 @@ pub struct PoseOptions {
     /// Bytes of memory that COLMAP may take (on Linux); any number when absent.
     pub memory: Option<u64>,
     /// Whether COLMAP works where nobody else wants a processor (on Linux).
-    pub makes_way: bool,
+    pub low_priority: bool,
 }
 
 impl Default for PoseOptions {
@@ -44,20 +44,20 @@ impl Default for PoseOptions {
             max_features: 4096,
             threads: None,
             memory: None,
-            makes_way: false,
+            low_priority: false,
         }
     }
 }
 
 /// What came of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Poses {
+pub struct PoseResult {
     /// Photographs in all.
     pub photographs: usize,
     /// Names of those without a pose; they are left out of the capture.
-    pub unplaced: Vec<String>,
+    pub unregistered: Vec<String>,
     /// True when an earlier run had found them.
-    pub were_there: bool,
+    pub already_present: bool,
 }
 
 /// Finds the poses of `photographs` and makes a capture of them in the folder `into`: `images/`, `masks/`, `sparse/0/` and
@@ -66,24 +66,24 @@ pub struct Poses {
 /// # Errors
 /// [`PoseError`]. The folder is no capture then, but holds the log.
 pub fn find_poses(
-    photographs: &Unposed,
+    photographs: &PhotosWithoutPoses,
     into: &Path,
     options: &PoseOptions,
-    watch: &mut Watch<'_>,
-) -> Result<Poses, PoseError> {
+    run_control: &mut RunControl<'_>,
+) -> Result<PoseResult, PoseError> {
     let workspace = Workspace::fill(into, photographs)?;
-    let were_there = workspace.is_done();
-    if !were_there {
-        let colmap = Colmap::open(&workspace, options, watch)?;
-        colmap.features(photographs, watch)?;
-        colmap.matches(watch)?;
-        let model = colmap.model(photographs, watch)?;
+    let already_present = workspace.is_done();
+    if !already_present {
+        let colmap = Colmap::open(&workspace, options, run_control)?;
+        colmap.features(photographs, run_control)?;
+        colmap.matches(run_control)?;
+        let model = colmap.model(photographs, run_control)?;
         workspace.finish(&model)?;
     }
     let placed = placed(into)?;
     let is_unplaced = |name: &&str| !placed.iter().any(|p| p == name);
-    let unplaced: Vec<String> = photographs.photos().filter(is_unplaced).map(str::to_owned).collect();
-    Ok(Poses { photographs: photographs.photos().len(), unplaced, were_there })
+    let unregistered: Vec<String> = photographs.photos().filter(is_unplaced).map(str::to_owned).collect();
+    Ok(PoseResult { photographs: photographs.photos().len(), unregistered, already_present })
 }
 
 /// The version of COLMAP that is installed; what it says is added to the file `log`.
@@ -92,18 +92,27 @@ pub fn find_poses(
 /// [`PoseError::NotInstalled`], [`PoseError::TooOld`] for one that [`find_poses`] does not work with, or why it does not run.
 pub fn colmap_version(options: &PoseOptions, log: &Path) -> Result<(u32, u32), PoseError> {
     let mut progress = |_| {};
-    let mut watch = Watch::new(HELP_TIME, &mut progress, &|| false);
+    let mut run_control = RunControl::new(HELP_TIME, &mut progress, &|| false);
     let name = options.program.as_os_str();
-    let program = Program { name, install: INSTALL, log, folder: None, bounds: Bounds::default() };
-    checked_version(&program, &mut watch)
+    let program = ExternalProgram {
+        name,
+        install: INSTALL,
+        log,
+        folder: None,
+        process_limits: ProcessLimits::default(),
+    };
+    checked_version(&program, &mut run_control)
 }
 
 /// The version that a COLMAP tells, if it is one that will do.
-fn checked_version(colmap: &Program<'_>, watch: &mut Watch<'_>) -> Result<(u32, u32), PoseError> {
+fn checked_version(
+    colmap: &ExternalProgram<'_>,
+    run_control: &mut RunControl<'_>,
+) -> Result<(u32, u32), PoseError> {
     let mut told = Vec::new();
-    colmap.run(&["help".as_ref()], watch, &mut |line, _| told.push(line.to_owned()))?;
+    colmap.run(&["help".as_ref()], run_control, &mut |line, _| told.push(line.to_owned()))?;
     let found = told.iter().find_map(|line| version(line));
-    found.filter(|version| *version >= LEAST_VERSION).ok_or_else(|| PoseError::TooOld {
+    found.filter(|version| *version >= MIN_VERSION).ok_or_else(|| PoseError::TooOld {
         program: colmap.name.display().to_string(),
         found: found.map_or("unknown".to_owned(), |(major, minor)| format!("{major}.{minor}")),
         least: "3.6",
@@ -138,15 +147,15 @@ impl<'a> Colmap<'a> {
     fn open(
         workspace: &'a Workspace,
         options: &'a PoseOptions,
-        watch: &mut Watch<'_>,
+        run_control: &mut RunControl<'_>,
     ) -> Result<Self, PoseError> {
         let (log, scratch) = (workspace.log(), workspace.scratch());
         fs::create_dir_all(&scratch).map_err(PoseError::io(&scratch))?;
         let groups = OptionGroups { extraction: "SiftExtraction", matching: "SiftMatching" };
         let mut colmap = Self { options, workspace, log, database: scratch.join("database.db"), groups };
-        checked_version(&colmap.program(), watch)?;
+        checked_version(&colmap.program(), run_control)?;
         let mut renamed = false;
-        colmap.run(&["feature_extractor".as_ref(), "-h".as_ref()], watch, &mut |line, _| {
+        colmap.run(&["feature_extractor".as_ref(), "-h".as_ref()], run_control, &mut |line, _| {
             renamed |= line.contains("--FeatureExtraction.use_gpu");
         })?;
         if renamed {
@@ -158,17 +167,17 @@ impl<'a> Colmap<'a> {
     fn run(
         &self,
         arguments: &[&OsStr],
-        watch: &mut Watch<'_>,
-        line: &mut dyn FnMut(&str, &mut Watch<'_>),
+        run_control: &mut RunControl<'_>,
+        line: &mut dyn FnMut(&str, &mut RunControl<'_>),
     ) -> Result<(), PoseError> {
-        self.program().run(arguments, watch, line)
+        self.program().run(arguments, run_control, line)
     }
 
-    fn program(&self) -> Program<'_> {
-        let PoseOptions { memory, makes_way, .. } = *self.options;
-        let bounds = Bounds { memory, makes_way, marker: Some(self.workspace.marker()) };
+    fn program(&self) -> ExternalProgram<'_> {
+        let PoseOptions { memory, low_priority, .. } = *self.options;
+        let process_limits = ProcessLimits { memory, low_priority, marker: Some(self.workspace.marker()) };
         let name = self.options.program.as_os_str();
-        Program { name, install: INSTALL, log: &self.log, folder: None, bounds }
+        ExternalProgram { name, install: INSTALL, log: &self.log, folder: None, process_limits }
     }
 
     /// The option that bounds the threads of a command.
@@ -183,20 +192,24 @@ impl<'a> Colmap<'a> {
         command: &str,
         options: &[(String, OsString)],
         counted: &str,
-        watch: &mut Watch<'_>,
+        run_control: &mut RunControl<'_>,
     ) -> Result<(), PoseError> {
         let flags: Vec<String> = options.iter().map(|(name, _)| format!("--{name}")).collect();
         let pairs =
             flags.iter().zip(options).flat_map(|(flag, (_, value))| [flag.as_ref(), value.as_os_str()]);
         let arguments: Vec<&OsStr> = std::iter::once(command.as_ref()).chain(pairs).collect();
-        self.run(&arguments, watch, &mut |line, watch| {
+        self.run(&arguments, run_control, &mut |line, run_control| {
             if let Some((done, total)) = count(line, counted) {
-                (watch.progress)(PoseProgress { stage, done, total });
+                (run_control.progress)(PoseProgress { stage, done, total });
             }
         })
     }
 
-    fn features(&self, photographs: &Unposed, watch: &mut Watch<'_>) -> Result<(), PoseError> {
+    fn features(
+        &self,
+        photographs: &PhotosWithoutPoses,
+        run_control: &mut RunControl<'_>,
+    ) -> Result<(), PoseError> {
         let sift = &self.groups.extraction;
         let one_size = photographs.have_one_size()?;
         let mut options = vec![
@@ -211,10 +224,10 @@ impl<'a> Colmap<'a> {
             ("SiftExtraction.max_num_features".to_owned(), self.options.max_features.to_string().into()),
         ]);
         options.extend(self.threads(sift));
-        self.stage(PoseStage::Features, "feature_extractor", &options, "Processed file", watch)
+        self.stage(PoseStage::Features, "feature_extractor", &options, "Processed file", run_control)
     }
 
-    fn matches(&self, watch: &mut Watch<'_>) -> Result<(), PoseError> {
+    fn matches(&self, run_control: &mut RunControl<'_>) -> Result<(), PoseError> {
         // Blocks of photographs, so that progress is seen: COLMAP's own default has one block of fifty.
         const BLOCK: &str = "10";
         let mut options = vec![
@@ -223,11 +236,15 @@ impl<'a> Colmap<'a> {
             ("ExhaustiveMatching.block_size".to_owned(), BLOCK.into()),
         ];
         options.extend(self.threads(self.groups.matching));
-        self.stage(PoseStage::Matching, "exhaustive_matcher", &options, "Matching block", watch)
+        self.stage(PoseStage::Matching, "exhaustive_matcher", &options, "Matching block", run_control)
     }
 
     /// Places the photographs; of the models that COLMAP makes, the folder of the one with the most.
-    fn model(&self, photographs: &Unposed, watch: &mut Watch<'_>) -> Result<PathBuf, PoseError> {
+    fn model(
+        &self,
+        photographs: &PhotosWithoutPoses,
+        run_control: &mut RunControl<'_>,
+    ) -> Result<PathBuf, PoseError> {
         let models = self.workspace.scratch().join("models");
         if models.is_dir() {
             fs::remove_dir_all(&models).map_err(PoseError::io(&models))?;
@@ -250,10 +267,10 @@ impl<'a> Colmap<'a> {
         ];
         arguments.extend(threads.iter().flat_map(|(name, value)| [name.as_os_str(), value.as_os_str()]));
         let total = photographs.photos().len() as u64;
-        self.run(&arguments, watch, &mut |line, watch| {
+        self.run(&arguments, run_control, &mut |line, run_control| {
             if let Some(done) = registered(line) {
                 let progress = PoseProgress { stage: PoseStage::Mapping, done: done.min(total), total };
-                (watch.progress)(progress);
+                (run_control.progress)(progress);
             }
         })?;
         let mut largest: Option<(usize, PathBuf)> = None;

@@ -68,7 +68,7 @@ pub enum PoseError {
     },
     /// The folder for the result holds something else.
     #[error("{folder}: holds the poses of other photographs; remove it or name another folder", folder = .0.display())]
-    OfOthers(PathBuf),
+    FolderNotEmpty(PathBuf),
     /// A file could not be read or written.
     #[error("{file}: {source}", file = .file.display())]
     Io {

@@ -7,19 +7,19 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use super::bounds::Bounds;
 use super::error::PoseError;
-use super::watch::Watch;
+use super::process_limits::ProcessLimits;
+use super::run_control::RunControl;
 
 /// How often a program is looked after.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Lines of the log that an error shows.
 const SHOWN_LINES: usize = 8;
 /// Bytes of a line that are kept.
-const LONGEST_LINE: usize = 4096;
+const MAX_LINE_BYTES: usize = 4096;
 
 /// A program, how to get it, and where it logs.
-pub(super) struct Program<'a> {
+pub(super) struct ExternalProgram<'a> {
     /// Name to be looked for on PATH, or a path.
     pub name: &'a OsStr,
     /// How to get it.
@@ -29,10 +29,10 @@ pub(super) struct Program<'a> {
     /// Where it runs, if not where this program does.
     pub folder: Option<&'a Path>,
     /// What it may take.
-    pub bounds: Bounds,
+    pub process_limits: ProcessLimits,
 }
 
-impl Program<'_> {
+impl ExternalProgram<'_> {
     /// Runs it to its end; `line` is called with each line that it writes, a short while after.
     ///
     /// # Errors
@@ -40,13 +40,13 @@ impl Program<'_> {
     pub(super) fn run(
         &self,
         arguments: &[&OsStr],
-        watch: &mut Watch<'_>,
-        line: &mut dyn FnMut(&str, &mut Watch<'_>),
+        run_control: &mut RunControl<'_>,
+        line: &mut dyn FnMut(&str, &mut RunControl<'_>),
     ) -> Result<(), PoseError> {
         let io = PoseError::io;
-        self.bounds.end_earlier();
+        self.process_limits.kill_leftover();
         let log = OpenOptions::new().create(true).append(true).open(self.log).map_err(io(self.log))?;
-        let mut output = NewLines::after_the_end(self.log).map_err(io(self.log))?;
+        let mut output = LogTail::after_the_end(self.log).map_err(io(self.log))?;
         let (for_out, for_errors) = (log.try_clone().map_err(io(self.log))?, log);
         let mut command = Command::new(self.name);
         command.args(arguments).stdin(Stdio::null()).stdout(for_out).stderr(for_errors);
@@ -61,27 +61,27 @@ impl Program<'_> {
             }
             _ => PoseError::Io { file: PathBuf::from(self.name), source: error },
         })?;
-        let mut running = Running { child: spawned, bounds: &self.bounds };
-        self.bounds.put_on(&running.child).map_err(io(Path::new(self.name)))?;
+        let mut running = RunningProcess { child: spawned, process_limits: &self.process_limits };
+        self.process_limits.apply_to(&running.child).map_err(io(Path::new(self.name)))?;
         let status = loop {
             let status = running.child.try_wait().map_err(io(Path::new(self.name)))?;
-            output.read(&mut |text| line(text, watch)).map_err(io(self.log))?;
+            output.read(&mut |text| line(text, run_control)).map_err(io(self.log))?;
             if let Some(status) = status {
                 break status;
             }
-            if (watch.is_cancelled)() {
+            if (run_control.is_cancelled)() {
                 return Err(PoseError::Cancelled);
             }
-            if watch.is_over() {
-                let (program, log) = (self.doing(arguments), self.log.to_owned());
-                return Err(PoseError::TimedOut { program, minutes: watch.minutes(), log });
+            if run_control.is_over() {
+                let (program, log) = (self.command_text(arguments), self.log.to_owned());
+                return Err(PoseError::TimedOut { program, minutes: run_control.minutes(), log });
             }
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         };
         match status.success() {
             true => Ok(()),
             false => Err(PoseError::Failed {
-                program: self.doing(arguments),
+                program: self.command_text(arguments),
                 status: status.to_string(),
                 end: output.last_lines.join("\n"),
                 log: self.log.to_owned(),
@@ -90,7 +90,7 @@ impl Program<'_> {
     }
 
     /// Its name, and the command that it was given.
-    fn doing(&self, arguments: &[&OsStr]) -> String {
+    fn command_text(&self, arguments: &[&OsStr]) -> String {
         let command = arguments.first().filter(|a| !a.to_string_lossy().starts_with('-'));
         let command = command.map_or(String::new(), |c| format!(" {}", c.display()));
         format!("{}{command}", self.name.display())
@@ -98,28 +98,28 @@ impl Program<'_> {
 }
 
 /// A program that ends when this goes.
-struct Running<'a> {
+struct RunningProcess<'a> {
     child: Child,
-    bounds: &'a Bounds,
+    process_limits: &'a ProcessLimits,
 }
 
-impl Drop for Running<'_> {
+impl Drop for RunningProcess<'_> {
     fn drop(&mut self) {
         // Both fail only where it has ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
-        self.bounds.forget();
+        self.process_limits.forget();
     }
 }
 
 /// The lines that are added to a file.
-struct NewLines {
+struct LogTail {
     file: File,
     unfinished: Vec<u8>,
     last_lines: Vec<String>,
 }
 
-impl NewLines {
+impl LogTail {
     /// Lines after what the file holds now.
     fn after_the_end(path: &Path) -> std::io::Result<Self> {
         let mut file = File::open(path)?;
@@ -138,7 +138,7 @@ impl NewLines {
             // Progress bars end lines with a carriage return.
             for &byte in &buffer[..bytes] {
                 if !matches!(byte, b'\n' | b'\r') {
-                    if self.unfinished.len() < LONGEST_LINE {
+                    if self.unfinished.len() < MAX_LINE_BYTES {
                         self.unfinished.push(byte);
                     }
                     continue;
@@ -167,17 +167,17 @@ mod tests {
         let folder = tempfile::TempDir::new().unwrap();
         let log = folder.path().join("x.log");
         std::fs::write(&log, "earlier\n").unwrap();
-        let program = Program {
+        let program = ExternalProgram {
             name: "sh".as_ref(),
             install: "get it",
             log: &log,
             folder: None,
-            bounds: Bounds::default(),
+            process_limits: ProcessLimits::default(),
         };
         let (mut ignored, mut lines) = (|_| {}, Vec::new());
         let is_cancelled = || cancelled;
-        let mut watch = Watch::new(limit, &mut ignored, &is_cancelled);
-        let ended = program.run(&["-c".as_ref(), script.as_ref()], &mut watch, &mut |line, _| {
+        let mut run_control = RunControl::new(limit, &mut ignored, &is_cancelled);
+        let ended = program.run(&["-c".as_ref(), script.as_ref()], &mut run_control, &mut |line, _| {
             lines.push(line.to_owned());
         });
         (ended, lines, std::fs::read_to_string(&log).unwrap())
@@ -218,16 +218,16 @@ mod tests {
     fn missing_program_gives_an_error_with_install_advice() {
         let folder = tempfile::TempDir::new().unwrap();
         let log = folder.path().join("x.log");
-        let program = Program {
+        let program = ExternalProgram {
             name: "no-such-program".as_ref(),
             install: "get it",
             log: &log,
             folder: None,
-            bounds: Bounds::default(),
+            process_limits: ProcessLimits::default(),
         };
         let mut ignored = |_| {};
-        let mut watch = Watch::new(LONG, &mut ignored, &|| false);
-        let error = program.run(&[], &mut watch, &mut |_, _| {}).unwrap_err().to_string();
+        let mut run_control = RunControl::new(LONG, &mut ignored, &|| false);
+        let error = program.run(&[], &mut run_control, &mut |_, _| {}).unwrap_err().to_string();
         assert!(error.contains("no-such-program") && error.contains("get it"), "{error}");
     }
 }

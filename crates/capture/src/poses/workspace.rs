@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::error::PoseError;
-use crate::Unposed;
+use crate::PhotosWithoutPoses;
 
 /// The folder of a capture in the making.
 pub(super) struct Workspace {
@@ -15,8 +15,8 @@ impl Workspace {
     /// Copies photographs and masks into `root`, which is made. What an earlier run began there is gone on with.
     ///
     /// # Errors
-    /// [`PoseError::OfOthers`] when there are other photographs.
-    pub(super) fn fill(root: &Path, photographs: &Unposed) -> Result<Self, PoseError> {
+    /// [`PoseError::FolderNotEmpty`] when there are other photographs.
+    pub(super) fn fill(root: &Path, photographs: &PhotosWithoutPoses) -> Result<Self, PoseError> {
         let workspace = Self { root: root.to_owned() };
         let wanted: Vec<PathBuf> = photographs.photos().map(|name| workspace.images().join(name)).collect();
         for other in files_below(&workspace.images())?.into_iter().filter(|file| !wanted.contains(file)) {
@@ -24,15 +24,15 @@ impl Workspace {
             if other.extension().is_some_and(|e| e == PARTIAL) {
                 fs::remove_file(&other).map_err(PoseError::io(&other))?;
             } else {
-                return Err(PoseError::OfOthers(root.to_owned()));
+                return Err(PoseError::FolderNotEmpty(root.to_owned()));
             }
         }
         if workspace.is_done() && wanted.iter().any(|file| !file.is_file()) {
-            return Err(PoseError::OfOthers(root.to_owned()));
+            return Err(PoseError::FolderNotEmpty(root.to_owned()));
         }
         for (name, file) in photographs.photos().zip(&wanted) {
             keep(file, &photographs.read(name)?).map_err(|error| match error {
-                PoseError::OfOthers(_) => PoseError::OfOthers(root.to_owned()),
+                PoseError::FolderNotEmpty(_) => PoseError::FolderNotEmpty(root.to_owned()),
                 other => other,
             })?;
         }
@@ -88,7 +88,7 @@ const PARTIAL: &str = "relume-tmp";
 fn keep(file: &Path, bytes: &[u8]) -> Result<(), PoseError> {
     if file.is_file() {
         let same = fs::read(file).map_err(PoseError::io(file))? == bytes;
-        return if same { Ok(()) } else { Err(PoseError::OfOthers(file.to_owned())) };
+        return if same { Ok(()) } else { Err(PoseError::FolderNotEmpty(file.to_owned())) };
     }
     if let Some(folder) = file.parent() {
         fs::create_dir_all(folder).map_err(PoseError::io(folder))?;

@@ -12,7 +12,7 @@ use glam::DVec3;
 use self::scene::AnalyticScene;
 pub use self::scene::SyntheticScene;
 use self::tracer::{AmbientOcclusion, Pixel, Tracer};
-use crate::{Capture, CaptureError, CaptureView, GroundTruthView, Scene3dBounds, builtin};
+use crate::{Capture, CaptureError, CaptureView, GroundTruthView, SceneBounds, builtin};
 use relume_scene::srgb;
 use relume_scene::{BitDepth, Camera, EnvMap, ImageRgba, PackedImage, Plane};
 
@@ -107,10 +107,10 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
         train,
         test,
         points: Vec::new(),
-        bounds: Scene3dBounds { centre: DVec3::ZERO, radius: SCENE_RADIUS },
+        bounds: SceneBounds { centre: DVec3::ZERO, radius: SCENE_RADIUS },
         has_alpha: true,
         lights: options.relit.clone(),
-        lit_by: None,
+        measured_light: None,
         grey_card: None,
         warnings: Vec::new(),
     })

@@ -37,7 +37,7 @@ pub fn adam_step(
 }
 
 /// One field of the Gaussians of a task.
-struct Part<'a> {
+struct FieldSlice<'a> {
     data: &'a mut [f32],
     moments: [&'a mut [f32]; 2],
     /// Where the field is in a row of gradients.
@@ -57,7 +57,7 @@ fn step_gaussians(
 ) {
     let layout = gradients.layout;
     let tasks = model.gaussians.len().div_ceil(CHUNK);
-    let mut parts: Vec<Vec<Part<'_>>> = (0..tasks).map(|_| Vec::new()).collect();
+    let mut parts: Vec<Vec<FieldSlice<'_>>> = (0..tasks).map(|_| Vec::new()).collect();
     let fields = moments.first.fields_mut().zip(moments.second.fields_mut());
     for ((field, width, data), ((_, _, first), (_, _, second))) in model.gaussians.fields_mut().zip(fields) {
         let [correction1, correction2] = counts.corrections(FieldGroup::of(field));
@@ -68,7 +68,7 @@ fn step_gaussians(
         let [data, first, second] = [data, first, second].map(|values| values.chunks_mut(CHUNK * width));
         for (parts, (data, (first, second))) in parts.iter_mut().zip(data.zip(first.zip(second))) {
             let (moments, range) = ([first, second], range.clone());
-            parts.push(Part { data, moments, range, rate, field, correction2 });
+            parts.push(FieldSlice { data, moments, range, rate, field, correction2 });
         }
     }
     let tasks = parts.into_par_iter().zip(gradients.rows.par_chunks(CHUNK * layout.row));

@@ -308,7 +308,7 @@ impl AttributeSource<'_> {
         let coefficients = self.gaussians.row(Field::Radiance, i);
         let (direction, length) = normalise(to_mean);
         let mut basis = [0.0f32; MAX_RADIANCE];
-        sh_eval(self.gaussians.radiance_order(), direction, &mut basis);
+        sh_eval(self.gaussians.radiance_degree(), direction, &mut basis);
         let mut raw = [0.5f32; 3];
         for (s, y) in coefficients.chunks_exact(3).zip(&basis) {
             (0..3).for_each(|c| raw[c] += s[c] * y);
@@ -333,7 +333,7 @@ impl AttributeSource<'_> {
         let g: [f32; 3] = std::array::from_fn(|c| if radiance.is_positive[c] { by_colour[c] } else { 0.0 });
         let (mut basis, mut derivatives) = ([0.0f32; MAX_RADIANCE], [[0.0f32; 3]; MAX_RADIANCE]);
         sh_eval_with_gradient(
-            self.gaussians.radiance_order(),
+            self.gaussians.radiance_degree(),
             radiance.direction,
             &mut basis,
             &mut derivatives,

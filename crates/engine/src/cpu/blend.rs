@@ -77,7 +77,7 @@ impl LocalSplat {
 
 /// One splat in one strip.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Entry {
+pub(super) struct StripEntry {
     /// Position in the tile's list.
     pub(super) local: u32,
     /// Alpha before the cap, 0 where below 1/255.
@@ -90,7 +90,7 @@ pub(super) struct Entry {
 #[derive(Debug, Default)]
 pub struct BlendScratch {
     pub(super) splats: Vec<LocalSplat>,
-    pub(super) entries: Vec<Entry>,
+    pub(super) entries: Vec<StripEntry>,
     weights: Vec<Lanes>,
 }
 
@@ -124,7 +124,7 @@ impl BlendScratch {
         let mut transmittance = Lanes::ONE;
         for (local, s) in self.splats.iter().enumerate() {
             let Some(alpha) = s.alpha(x, y) else { continue };
-            self.entries.push(Entry { local: local as u32, alpha, transmittance });
+            self.entries.push(StripEntry { local: local as u32, alpha, transmittance });
             transmittance = behind_splat(&transmittance, &alpha);
             if is_finished(early_stop, self.entries.len(), &transmittance) {
                 break;

@@ -8,7 +8,7 @@ use crate::cpu::project::normalise;
 use crate::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceShader};
 use crate::zeros;
 use relume_layout::channel::{self, Channels, GROUP, IncidentLight, OutgoingRadiance, RowLight};
-use relume_layout::constants::{LEAST_COVERAGE, TILE};
+use relume_layout::constants::{MIN_COVERAGE, TILE};
 use relume_scene::light::LightTables;
 use relume_scene::{MAX_LIGHTS, ShadeAt, sh_count};
 
@@ -42,7 +42,7 @@ pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
     let base = pass.locate(x, y, pass.channels.stored());
     let at = |c: usize| pass.gbuffer[base + c * LANES];
     let coverage = at(channel::COVERAGE);
-    if !(coverage >= LEAST_COVERAGE) {
+    if !(coverage >= MIN_COVERAGE) {
         return None;
     }
     let inverse = 1.0 / coverage;
@@ -80,7 +80,7 @@ pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
 fn blended_radiance(pass: &Pass, x: usize, y: usize) -> Option<[f32; 3]> {
     let coverage = pass.at(x, y, channel::COVERAGE);
     let light = || std::array::from_fn(|c| pass.at(x, y, OutgoingRadiance::TOTAL.start + c) / coverage);
-    (coverage >= LEAST_COVERAGE).then(light)
+    (coverage >= MIN_COVERAGE).then(light)
 }
 
 impl SurfaceShader<'_> {
@@ -154,7 +154,7 @@ impl SurfaceShader<'_> {
         let Some(g) = by_image else { return };
         let coverage = pass.at(x, y, channel::COVERAGE);
         let mut by_coverage: f32 = (0..3).map(|c| -g[c] * background[c]).sum();
-        if coverage >= LEAST_COVERAGE {
+        if coverage >= MIN_COVERAGE {
             by_coverage += match tables {
                 None => self.blended_backward(pass, (x, y), *g, out),
                 Some(tables) => self.surface_backward(pass, (x, y), *g, out, tables),
@@ -214,7 +214,7 @@ impl SurfaceShader<'_> {
                 + by.blocked[k] * surface.blocked[k];
         }
         along += by.metal * surface.metal + by.rough * surface.rough;
-        for j in 0..sh_count(self.order) {
+        for j in 0..sh_count(self.sh_degree) {
             along += by.visibility[j] * surface.visibility[j];
         }
         out.add_triple(channel::NORMAL, by.normal.map(|v| v * inverse));

@@ -5,7 +5,7 @@ use crate::cpu::surface::{Surface, SurfaceGradient, SurfaceShader, dot3};
 use relume_scene::light::{DIELECTRIC_F0, LightTables, TableLight};
 
 /// Least `alpha = roughness^2` of a highlight.
-const LEAST_ALPHA: f32 = 1e-4;
+const MIN_GGX_ALPHA: f32 = 1e-4;
 
 /// Lights at a surface.
 #[derive(Debug, Clone, Copy, Default)]
@@ -58,10 +58,10 @@ impl Highlight {
         let (half, half_length) = normalise(std::array::from_fn(|k| s.view[k] + light.direction[k]));
         let across = cross(normal, half);
         let across_squared = dot3(across, across);
-        let alpha = (s.rough * s.rough).max(LEAST_ALPHA);
+        let alpha = (s.rough * s.rough).max(MIN_GGX_ALPHA);
         let widened = alpha * alpha + 0.25 * light.radius * light.radius;
         let alpha_squared = widened.min(1.0);
-        let is_inside = s.rough * s.rough > LEAST_ALPHA && widened < 1.0;
+        let is_inside = s.rough * s.rough > MIN_GGX_ALPHA && widened < 1.0;
         let spread = alpha_squared + (1.0 - alpha_squared) * across_squared;
         let root = |cos: f32| (alpha_squared + (1.0 - alpha_squared) * cos * cos).sqrt();
         let roots = [root(nol), root(nov)];

@@ -7,15 +7,15 @@ use crate::cpu::{
     self, AttributeSource, Pass, SurfaceShader, outward_normals, radiance_image, sky_irradiance, training,
 };
 use crate::step::{Branches, Photo};
-use crate::{LightTurn, LightTurns, NO_INDIRECT_BASIS, RasterCamera, TrainState, indirect_basis};
+use crate::{LightRotation, LightRotations, NO_INDIRECT_BASIS, RasterCamera, TrainState, indirect_basis};
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables};
-use relume_scene::{Camera, ColumnTurn, MAX_LIGHTS, SplitLight};
+use relume_scene::{Camera, ColumnShift, MAX_LIGHTS, SplitLight};
 
 /// A state as the kernels read it, without learned indirect light and under the light unturned.
 pub fn source(state: &TrainState) -> AttributeSource<'_> {
-    training::source(state, &NO_INDIRECT_BASIS, LightTurn::default())
+    training::source(state, &NO_INDIRECT_BASIS, LightRotation::default())
 }
 
 /// The physically based branch as `photo` would show it, display-referred.
@@ -27,11 +27,11 @@ pub fn physical_image(
     background: [f32; 3],
 ) -> Vec<[f32; 3]> {
     let model = &state.model;
-    let turn = ColumnTurn::new(photo.light.radians, model.env_width);
+    let turn = ColumnShift::new(photo.light.radians, model.env_width);
     let tables = operators.apply(&turn.apply(&environment_radiance(model)));
     let basis = indirect_basis(&tables);
-    let order = model.gaussians.visibility_order();
-    let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
+    let sh_degree = model.gaussians.visibility_degree();
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, sh_degree };
     let source = training::source(state, &basis, photo.light).under(shader);
     let channels = branches.channels(&model.gaussians, &model.shading).blended;
     let pass = Pass::forward(
@@ -94,15 +94,15 @@ const DISPLAY_EXPONENT: f32 = 1.0 / 2.2;
 pub fn irradiance(
     state: &TrainState,
     operators: &EnvOperators,
-    turns: &LightTurns,
+    rotations: &LightRotations,
     normals: &[[f32; 3]],
 ) -> Vec<[f32; 3]> {
-    if let [turn] = turns.blocks[..] {
-        return irradiance_under(state, operators, LightTurn { radians: turn, block: 0 }, normals);
+    if let [turn] = rotations.blocks[..] {
+        return irradiance_under(state, operators, LightRotation { radians: turn, block: 0 }, normals);
     }
     let mut means = vec![[0.0f32; 3]; normals.len()];
-    for (block, (radians, share)) in turns.blocks.iter().zip(&turns.shares).enumerate() {
-        let light = LightTurn { radians: *radians, block };
+    for (block, (radians, share)) in rotations.blocks.iter().zip(&rotations.shares).enumerate() {
+        let light = LightRotation { radians: *radians, block };
         for (mean, e) in means.iter_mut().zip(irradiance_under(state, operators, light, normals)) {
             (0..3).for_each(|c| mean[c] += share * e[c].max(0.0).powf(DISPLAY_EXPONENT));
         }
@@ -113,10 +113,10 @@ pub fn irradiance(
 fn irradiance_under(
     state: &TrainState,
     operators: &EnvOperators,
-    light: LightTurn,
+    light: LightRotation,
     normals: &[[f32; 3]],
 ) -> Vec<[f32; 3]> {
-    let turn = ColumnTurn::new(light.radians, state.model.env_width);
+    let turn = ColumnShift::new(light.radians, state.model.env_width);
     let tables = operators.apply(&turn.apply(&environment_radiance(&state.model)));
     let source = training::source(state, &NO_INDIRECT_BASIS, light);
     let of = |i: usize| -> [f32; 3] {
@@ -128,17 +128,17 @@ fn irradiance_under(
 }
 
 /// Tables of the mean light of the photographs: tables are linear in the light.
-pub fn mean_tables(state: &TrainState, operators: &EnvOperators, turns: &LightTurns) -> LightTables {
+pub fn mean_tables(state: &TrainState, operators: &EnvOperators, rotations: &LightRotations) -> LightTables {
     let model = &state.model;
     let radiance = environment_radiance(model);
-    let turned = turns.blocks.iter().map(|t| ColumnTurn::new(*t, model.env_width).apply(&radiance));
-    operators.apply(&weighted_sum(turned, &turns.shares))
+    let turned = rotations.blocks.iter().map(|t| ColumnShift::new(*t, model.env_width).apply(&radiance));
+    operators.apply(&weighted_sum(turned, &rotations.shares))
 }
 
 /// Gathered light, the mean over the photographs, `[Gaussian]`; empty where none was measured.
-pub fn mean_gathered(state: &TrainState, turns: &LightTurns) -> Vec<[f32; 6]> {
-    let blocks = (0..turns.blocks.len()).map(|block| Cow::Borrowed(state.gathered_in(block)));
-    weighted_sum(blocks, &turns.shares)
+pub fn mean_gathered(state: &TrainState, rotations: &LightRotations) -> Vec<[f32; 6]> {
+    let blocks = (0..rotations.blocks.len()).map(|block| Cow::Borrowed(state.gathered_in(block)));
+    weighted_sum(blocks, &rotations.shares)
 }
 
 /// The sum of `weights[k]` times the `k`-th list, entry by entry.

@@ -9,10 +9,10 @@ use crate::cpu::project::Splat;
 use crate::cpu::resolve::resolve;
 use crate::cpu::tiles::TileLists;
 use crate::cpu::{
-    AttributeSource, Occluders, Pass, Probes, SurfaceShader, Transport, arriving, attribute_rows,
+    AttributeSource, OccluderBvh, Pass, Probes, SurfaceShader, Transport, arriving, attribute_rows,
     outward_normals, project_all,
 };
-use crate::{BOUNCES, FrameJob, NO_INDIRECT_BASIS, PROBE_DIRECTIONS, ShadeColour};
+use crate::{BOUNCES, ColourMode, FrameJob, NO_INDIRECT_BASIS, PROBE_DIRECTIONS};
 use crate::{Frame, ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
 use relume_layout::channel::{self, Channels, OutgoingRadiance, RowLight};
 use relume_layout::constants::EarlyStop;
@@ -21,14 +21,14 @@ use relume_scene::light::LightTables;
 use relume_scene::{Field, IndirectForm, MAX_LIGHTS, Model, ShadeAt, SplitLight};
 
 /// A model ready to be rendered. What does not depend on the light is made when first needed.
-pub struct Frames {
+pub struct CpuFrameRenderer {
     model: Arc<Model>,
     transport: OnceLock<Transport>,
-    occluders: OnceLock<Occluders>,
+    occluders: OnceLock<OccluderBvh>,
 }
 
 /// A light as the CPU engine shades with it.
-pub struct FrameLight {
+pub struct CpuFrameLight {
     /// Tables of the light.
     pub tables: LightTables,
     /// Irradiance and mean blocked radiance that the model's surfaces send each other, by Gaussian.
@@ -38,7 +38,7 @@ pub struct FrameLight {
     indirect_basis: [[f32; 3]; 16],
 }
 
-impl Frames {
+impl CpuFrameRenderer {
     /// Takes a checked model in.
     pub fn new(model: Arc<Model>) -> Self {
         Self { model, transport: OnceLock::new(), occluders: OnceLock::new() }
@@ -50,7 +50,7 @@ impl Frames {
     }
 
     /// The light of `tables`, with what the model's surfaces send each other under it.
-    pub fn prepare_light(&self, tables: LightTables) -> FrameLight {
+    pub fn prepare_light(&self, tables: LightTables) -> CpuFrameLight {
         let lights: Vec<SplitLight> = tables.lights.iter().map(SplitLight::from).collect();
         let arriving = arriving(&self.source(&[], &[], &NO_INDIRECT_BASIS), &lights);
         let source = self.source(&[], &arriving, &NO_INDIRECT_BASIS);
@@ -64,34 +64,34 @@ impl Frames {
             gathered = transport.gather(&source, &tables, BOUNCES);
         }
         let indirect_basis = indirect_basis(&tables);
-        FrameLight { tables, gathered, arriving, indirect_basis }
+        CpuFrameLight { tables, gathered, arriving, indirect_basis }
     }
 
     /// The model under `light`, not yet shaded.
-    pub fn lit_source<'a>(&'a self, light: &'a FrameLight) -> AttributeSource<'a> {
+    pub fn lit_source<'a>(&'a self, light: &'a CpuFrameLight) -> AttributeSource<'a> {
         self.source(&light.gathered, &light.arriving, &light.indirect_basis)
     }
 
     /// The shader of the model under `tables`.
     pub fn shader<'a>(&'a self, tables: &'a LightTables) -> SurfaceShader<'a> {
-        let order = self.model.gaussians.visibility_order();
-        SurfaceShader { tables, options: &self.model.shading, order }
+        let sh_degree = self.model.gaussians.visibility_degree();
+        SurfaceShader { tables, options: &self.model.shading, sh_degree }
     }
 
     /// The occluder tree of the model.
-    pub fn occluders(&self) -> &Occluders {
+    pub fn occluders(&self) -> &OccluderBvh {
         self.occluders.get_or_init(|| {
             let source = self.source(&[], &[], &NO_INDIRECT_BASIS);
-            Occluders::new(&source, ProbeSettings::of(source.options))
+            OccluderBvh::new(&source, ProbeSettings::of(source.options))
         })
     }
 
     /// Renders `job` from the light's tables.
-    pub fn render(&self, job: &FrameJob<'_>, light: &FrameLight) -> Frame {
+    pub fn render(&self, job: &FrameJob<'_>, light: &CpuFrameLight) -> Frame {
         let (source, shader) = (self.lit_source(light), self.shader(&light.tables));
         match job.colour {
-            ShadeColour::Alone => colour(&source, job.view, &shader),
-            ShadeColour::WithGBuffer => standard(&source, job, &shader),
+            ColourMode::Alone => colour(&source, job.view, &shader),
+            ColourMode::WithGBuffer => standard(&source, job, &shader),
         }
     }
 

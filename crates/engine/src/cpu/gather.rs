@@ -6,8 +6,8 @@ use rayon::prelude::*;
 use crate::cpu::attributes::AttributeSource;
 use crate::cpu::probes::Probes;
 use crate::cpu::project::sigmoid;
-use relume_layout::constants::{LEAST_BLOCKED, NO_HIT};
-use relume_scene::light::{FULLY_OPEN, LightTables};
+use relume_layout::constants::{MIN_BLOCKED_SHARE, NO_HIT};
+use relume_scene::light::{LightTables, UNOCCLUDED_SH0};
 use relume_scene::{Field, VisibilityForm};
 
 type Vec3 = [f32; 3];
@@ -43,7 +43,7 @@ impl Transport {
                 for (k, d) in probes.directions.iter().enumerate() {
                     let facing = (0..3).map(|a| normals[i][a] * d[a]).sum::<f32>();
                     let (from, share) = (probes.hit[k][i], 1.0 - probes.transmittance[k][i]);
-                    if facing <= 0.0 || from == NO_HIT || share < LEAST_BLOCKED {
+                    if facing <= 0.0 || from == NO_HIT || share < MIN_BLOCKED_SHARE {
                         continue;
                     }
                     // Only a face turned to the receiver emits towards it.
@@ -119,7 +119,8 @@ pub fn sky_irradiance(source: &AttributeSource<'_>, tables: &LightTables, normal
     let mut out = [0.0f32; 3];
     for k in 0..4 {
         for (o, row) in out.iter_mut().zip(tables.diffuse_rows(taps.node[k])) {
-            let e: f32 = if open { row[0] * FULLY_OPEN } else { row.iter().zip(c).map(|(t, c)| t * c).sum() };
+            let e: f32 =
+                if open { row[0] * UNOCCLUDED_SH0 } else { row.iter().zip(c).map(|(t, c)| t * c).sum() };
             *o += taps.weight[k] * e;
         }
     }

@@ -1,7 +1,7 @@
 //! The diffuse term of one surface, a pixel's or a Gaussian's (docs/MODEL.md section 4), forward and backward.
 
 use crate::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader, dot3};
-use relume_scene::light::{FULLY_OPEN, LightTables, Taps, nrsh_factor, sh_eval, sh_eval_with_gradient};
+use relume_scene::light::{LightTables, Taps, UNOCCLUDED_SH0, nrsh_factor, sh_eval, sh_eval_with_gradient};
 
 const INV_PI: f32 = std::f32::consts::FRAC_1_PI;
 
@@ -47,9 +47,9 @@ impl SurfaceShader<'_> {
 
     fn ambient_with_raw(&self, visibility: &[f32], normal: [f32; 3]) -> (f32, f32) {
         let mut y = [0.0f32; MAX_COEFFICIENTS];
-        sh_eval(self.order, normal, &mut y);
+        sh_eval(self.sh_degree, normal, &mut y);
         let mut raw = 0.0;
-        for l in 0..=self.order {
+        for l in 0..=self.sh_degree {
             for j in l * l..(l + 1) * (l + 1) {
                 raw += nrsh_factor(l) as f32 * y[j] * visibility[j];
             }
@@ -62,13 +62,12 @@ impl SurfaceShader<'_> {
         // Four tabulated normals around n, each a dot product with the visibility coefficients.
         let taps = self.tables.diffuse_grid.lookup(normal);
         let scalar = self.is_scalar();
-        let tap_irradiance: [[f32; 3]; 4] =
-            std::array::from_fn(|k| {
-                let rows = self.tables.diffuse_rows(taps.node[k]);
-                rows.map(|row| {
-                    if scalar { row[0] * FULLY_OPEN } else { dot_padded(row, &s.visibility[..row.len()]) }
-                })
-            });
+        let tap_irradiance: [[f32; 3]; 4] = std::array::from_fn(|k| {
+            let rows = self.tables.diffuse_rows(taps.node[k]);
+            rows.map(|row| {
+                if scalar { row[0] * UNOCCLUDED_SH0 } else { dot_padded(row, &s.visibility[..row.len()]) }
+            })
+        });
         let mut irradiance_raw = [0.0f32; 3];
         for k in 0..4 {
             (0..3).for_each(|c| irradiance_raw[c] += taps.weight[k] * tap_irradiance[k][c]);
@@ -116,7 +115,7 @@ impl SurfaceShader<'_> {
                 let base = (node * 3 + c) * n;
                 let row = &mut tables.diffuse[base..base + n];
                 if scalar {
-                    row[0] += w * FULLY_OPEN;
+                    row[0] += w * UNOCCLUDED_SH0;
                     continue;
                 }
                 let table = &self.tables.diffuse[base..base + n];
@@ -129,8 +128,8 @@ impl SurfaceShader<'_> {
         if scalar && !self.is_open() {
             let by_raw = by_ambient * self.squash_derivative(f.ambient_raw, f.ambient);
             let (mut y, mut dy) = ([0.0f32; MAX_COEFFICIENTS], [[0.0f32; 3]; MAX_COEFFICIENTS]);
-            sh_eval_with_gradient(self.order, f.normal, &mut y, &mut dy);
-            for l in 0..=self.order {
+            sh_eval_with_gradient(self.sh_degree, f.normal, &mut y, &mut dy);
+            for l in 0..=self.sh_degree {
                 let factor = by_raw * nrsh_factor(l) as f32;
                 for j in l * l..(l + 1) * (l + 1) {
                     out.visibility[j] += factor * y[j];

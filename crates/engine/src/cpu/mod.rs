@@ -38,7 +38,7 @@ pub use attributes::{AttributeSource, softmax};
 pub use blend_backward::ROW_HEADER;
 pub use branch_images::{BranchImages, BufferGradient, radiance_image, radiance_image_backward, surface_at};
 pub use display::{linear_from_srgb, srgb, srgb_derivative};
-pub use frames::{FrameLight, Frames, blended_radiance};
+pub use frames::{CpuFrameLight, CpuFrameRenderer, blended_radiance};
 pub use gather::{Transport, sky_irradiance};
 pub use labels::{BackwardLabel, backward_labels};
 pub use lanes::{LANES, Lanes};
@@ -49,8 +49,8 @@ pub use probes::{Probes, arriving, light_transmittance, outward_normals};
 pub use project::{
     Geometry, Splat, normalise, normalise_backward, rotation, rotation_backward, sigmoid, sigmoid_derivative,
 };
-pub use rays::Occluders;
+pub use rays::OccluderBvh;
 pub use resolve::{reflector, resolve};
 pub use surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader};
 pub use surface_shader::Shaded;
-pub use training::{Outcome, Training, objective};
+pub use training::{CpuTraining, ObjectiveResult, objective};

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::cpu::attributes::AttributeSource;
 use crate::cpu::lanes::exp_negative;
 use crate::cpu::project::{rotation, sigmoid};
-use relume_layout::constants::{ALPHA_MAX, ALPHA_MIN, LOG_SCALE_LIMIT, WIDEST};
+use relume_layout::constants::{ALPHA_MAX, ALPHA_MIN, LOG_SCALE_LIMIT, MAX_OCCLUDER_VARIANCE};
 
 pub(super) type Vec3 = [f32; 3];
 
@@ -69,7 +69,7 @@ impl Occluder {
         let floor = widening(uu + vv);
         let (uu, vv) = (uu + floor, vv + floor);
         let det = uu * vv - uv * uv;
-        (det > 0.0 && uu < WIDEST && vv < WIDEST).then(|| Footprint {
+        (det > 0.0 && uu < MAX_OCCLUDER_VARIANCE && vv < MAX_OCCLUDER_VARIANCE).then(|| Footprint {
             conic: [vv / det, -uv / det, uu / det],
             spread: [uu, vv],
             thickness: dd.sqrt(),

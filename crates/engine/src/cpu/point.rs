@@ -4,7 +4,7 @@ use crate::cpu::occluder::{Vec3, dot};
 use crate::cpu::pass::Pass;
 use crate::cpu::project::{Splat, normalise};
 use relume_layout::channel;
-use relume_layout::constants::{ALPHA_MAX, FARTHEST_MEAN, FARTHEST_PLANE, LIFT, TILE};
+use relume_layout::constants::{ALPHA_MAX, LIFT, MAX_MEAN_DEPTH_ERROR, MAX_PLANE_DEPTH_ERROR, TILE};
 
 /// The world point that pixel (`x`, `y`) of a pass with normals sees: on the plane of the Gaussian that brings coverage
 /// to half of what the pixel has. At an edge the mean depth is between two surfaces and on neither; this is on one of
@@ -30,7 +30,7 @@ pub fn surface_points<const N: usize>(
         let ray = pass.view.ray_through([x as f32 + 0.5 + dx, y as f32 + 0.5 + dy]);
         let mean = distance / dot(blended, ray);
         // NaN and infinity are not near.
-        let depth = if (mean - seen).abs() <= FARTHEST_MEAN * seen { mean } else { seen };
+        let depth = if (mean - seen).abs() <= MAX_MEAN_DEPTH_ERROR * seen { mean } else { seen };
         std::array::from_fn(|k| pass.view.centre[k] + depth * ray[k] + to_camera * normal[k])
     })
 }
@@ -69,5 +69,5 @@ fn depth_on_plane(pass: &Pass, splat: usize, centre: f32, ray: [f32; 3]) -> f32 
     let along: f32 = (0..3).map(|k| row[channel::NORMAL.start + k] * ray[k]).sum();
     let depth = row[channel::PLANE] / along;
     // NaN and infinity are edge-on too.
-    if (depth - centre).abs() <= FARTHEST_PLANE * centre { depth } else { centre }
+    if (depth - centre).abs() <= MAX_PLANE_DEPTH_ERROR * centre { depth } else { centre }
 }

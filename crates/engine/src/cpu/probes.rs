@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::cpu::attributes::AttributeSource;
 use crate::cpu::occluder::{Vec3, dot, occluders};
 use crate::cpu::project::rotation;
-use crate::cpu::shadows::{Query, measure_direction};
+use crate::cpu::shadows::{VisibilityQuery, measure_direction};
 use crate::{ProbeSettings, towards_light};
 use relume_scene::light::sh_eval;
 use relume_scene::{Field, MAX_LIGHTS, SplitLight, VisibilityForm, sh_count};
@@ -86,14 +86,14 @@ impl Probes {
     pub fn measure(source: &AttributeSource<'_>, directions: Vec<Vec3>, settings: ProbeSettings) -> Self {
         let occluders = occluders(source);
         let normals = outward_normals(source);
-        let queries: Vec<Query> = occluders
+        let queries: Vec<VisibilityQuery> = occluders
             .iter()
             .zip(&normals)
             .map(|(o, n)| {
                 let sigma = o.axes.iter().map(|a| dot(*a, *n).powi(2)).sum::<f32>().sqrt();
                 let point =
                     std::array::from_fn(|k| o.mean[k] + (settings.offset * sigma + settings.lift) * n[k]);
-                Query { point, clearance: sigma + settings.bias }
+                VisibilityQuery { point, clearance: sigma + settings.bias }
             })
             .collect();
         let measured: Vec<(Vec<f32>, Vec<u32>)> =
@@ -102,16 +102,16 @@ impl Probes {
         Self { directions, transmittance, hit }
     }
 
-    /// Visibility coefficients of degree `order`, `[Gaussian][coefficient]`: `4 pi / D sum_d V Y`.
-    pub fn coefficients(&self, order: usize) -> Vec<f32> {
-        let n = sh_count(order);
+    /// Visibility coefficients of degree `sh_degree`, `[Gaussian][coefficient]`: `4 pi / D sum_d V Y`.
+    pub fn coefficients(&self, sh_degree: usize) -> Vec<f32> {
+        let n = sh_count(sh_degree);
         let weight = 4.0 * std::f32::consts::PI / self.directions.len().max(1) as f32;
         let basis: Vec<[f32; 64]> = self
             .directions
             .iter()
             .map(|d| {
                 let mut y = [0.0f32; 64];
-                sh_eval(order, *d, &mut y);
+                sh_eval(sh_degree, *d, &mut y);
                 y
             })
             .collect();

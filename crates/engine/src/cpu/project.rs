@@ -6,7 +6,7 @@
 
 use crate::RasterCamera;
 use relume_layout::constants::{
-    ALPHA_MIN, FAR, FARTHEST_PIXEL, LARGEST_VARIANCE, LEAST_DETERMINANT, LOG_SCALE_LIMIT, NEAR,
+    ALPHA_MIN, FAR, LOG_SCALE_LIMIT, MAX_PIXEL_DISTANCE, MAX_SCREEN_VARIANCE, MIN_DETERMINANT, NEAR,
 };
 
 /// A projected Gaussian.
@@ -190,7 +190,7 @@ fn prepare(view: &RasterCamera, g: &Geometry) -> Option<Projection> {
     });
     let dot = |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f32>();
     let raw = [dot(&screen[0], &screen[0]), dot(&screen[0], &screen[1]), dot(&screen[1], &screen[1])];
-    if !(raw[0] < LARGEST_VARIANCE && raw[2] < LARGEST_VARIANCE) {
+    if !(raw[0] < MAX_SCREEN_VARIANCE && raw[2] < MAX_SCREEN_VARIANCE) {
         return None;
     }
     let area = cross(&screen[0], &screen[1]);
@@ -204,7 +204,7 @@ pub fn project(view: &RasterCamera, index: u32, g: &Geometry) -> Option<Splat> {
     let (raw, raw_determinant, low_pass) = (p.raw, p.raw_determinant, view.low_pass);
     let covariance = [raw[0] + low_pass, raw[1], raw[2] + low_pass];
     let determinant = blurred_determinant(&p, low_pass);
-    if !(determinant > LEAST_DETERMINANT) {
+    if !(determinant > MIN_DETERMINANT) {
         return None;
     }
     let conic = [covariance[2], -covariance[1], covariance[0]].map(|v| v / determinant);
@@ -216,7 +216,7 @@ pub fn project(view: &RasterCamera, index: u32, g: &Geometry) -> Option<Splat> {
     let mean: [f32; 2] =
         std::array::from_fn(|k| view.focal[k] * (p.camera[k] / p.camera[2]) + view.centre_px[k]);
     // Beyond this no pixel is anywhere near, and the way back would overflow.
-    if !(mean[0].abs() < FARTHEST_PIXEL && mean[1].abs() < FARTHEST_PIXEL) {
+    if !(mean[0].abs() < MAX_PIXEL_DISTANCE && mean[1].abs() < MAX_PIXEL_DISTANCE) {
         return None;
     }
     let reach = (255.0 * opacity).ln();
@@ -299,7 +299,7 @@ fn screen_backward(
     let (determinant, low_pass) = (blurred_determinant(p, view.low_pass), view.low_pass);
     let adjugate = [cross(&p.screen[1], &p.area), cross(&p.area, &p.screen[0])];
     // Below, the derivative of its root overflows f32.
-    let has_derivative = view.low_pass_compensation && p.raw_determinant > LEAST_DETERMINANT;
+    let has_derivative = view.low_pass_compensation && p.raw_determinant > MIN_DETERMINANT;
     let factor = if has_derivative { s.compensation * by_compensation } else { 0.0 };
     let mut by_screen = [[0.0f32; 3]; 2];
     for k in 0..3 {

@@ -6,23 +6,23 @@
 use crate::cpu::attributes::AttributeSource;
 use crate::cpu::occluder::{Occluder, Vec3, dot, occluders, plane_basis, widening};
 use crate::{ProbeSettings, RayTree};
-use relume_layout::constants::{OPAQUE, TREE_DEPTH, WIDEST};
+use relume_layout::constants::{MAX_OCCLUDER_VARIANCE, MIN_TRANSMITTANCE, TREE_DEPTH};
 
 /// Gaussians a leaf may have.
 const LEAF: usize = 4;
 
 /// A bounding volume hierarchy over the Gaussians of a model, for transmittance along rays.
 #[derive(Debug, Clone)]
-pub struct Occluders {
+pub struct OccluderBvh {
     /// In the order of the leaves.
     members: Vec<Occluder>,
-    nodes: Vec<Node>,
+    nodes: Vec<BvhNode>,
     settings: ProbeSettings,
 }
 
 /// A box; its left child is the next node.
 #[derive(Debug, Clone, Copy)]
-struct Node {
+struct BvhNode {
     low: Vec3,
     high: Vec3,
     /// First member of a leaf, or the right child.
@@ -32,15 +32,15 @@ struct Node {
 }
 
 /// An occluder with the box around it.
-struct Boxed {
+struct BoundedOccluder {
     occluder: Occluder,
     half: Vec3,
 }
 
-impl Occluders {
+impl OccluderBvh {
     /// Builds the tree over the Gaussians of `source`; `settings` say which of them count for a ray.
     pub fn new(source: &AttributeSource<'_>, settings: ProbeSettings) -> Self {
-        let mut boxes: Vec<Boxed> = occluders(source).into_iter().filter_map(boxed).collect();
+        let mut boxes: Vec<BoundedOccluder> = occluders(source).into_iter().filter_map(boxed).collect();
         let mut nodes = Vec::with_capacity(2 * boxes.len() / LEAF + 1);
         if !boxes.is_empty() {
             build(&mut boxes, 0, &mut nodes);
@@ -50,7 +50,7 @@ impl Occluders {
 
     /// The tree as other engines walk it.
     pub fn tree(&self) -> RayTree {
-        let node = |n: &Node| {
+        let node = |n: &BvhNode| {
             let [a, b, c] = n.low.map(f32::to_bits);
             let [d, e, f] = n.high.map(f32::to_bits);
             [a, b, c, n.first, d, e, f, n.count]
@@ -70,7 +70,7 @@ impl Occluders {
     /// Share of light, 0 to 1, that reaches surface point `origin` from unit direction `d`.
     ///
     /// An occluder counts from two of its own standard deviations and a little beyond the point
-    /// ([`ProbeSettings::clearance`], [`ProbeSettings::bias`]) to [`ProbeSettings::reach`]. Less than [`OPAQUE`] counts
+    /// ([`ProbeSettings::clearance`], [`ProbeSettings::bias`]) to [`ProbeSettings::reach`]. Less than [`MIN_TRANSMITTANCE`] counts
     /// as 0.
     pub fn transmittance(&self, origin: Vec3, d: Vec3) -> f32 {
         let (u, v) = plane_basis(d);
@@ -96,7 +96,7 @@ impl Occluders {
                 left *= 1.0 - self.alpha_on_ray(o, origin, [d, u, v]);
             }
             // The product does not grow again, whatever order the rest comes in.
-            if left < OPAQUE {
+            if left < MIN_TRANSMITTANCE {
                 return 0.0;
             }
         }
@@ -120,7 +120,7 @@ impl Occluders {
     }
 }
 
-impl Node {
+impl BvhNode {
     /// Whether the ray from `origin` passes through the box; `inverse` is one over its direction.
     #[inline]
     fn is_hit(&self, origin: Vec3, inverse: Vec3) -> bool {
@@ -136,16 +136,16 @@ impl Node {
     }
 }
 
-fn boxed(occluder: Occluder) -> Option<Boxed> {
+fn boxed(occluder: Occluder) -> Option<BoundedOccluder> {
     let variance: Vec3 = std::array::from_fn(|k| occluder.axes.iter().map(|a| a[k] * a[k]).sum());
     let floor = widening(variance.iter().sum());
     let half = variance.map(|s| (2.0 * occluder.reach * (s + floor)).sqrt());
-    let usable = occluder.occludes() && variance.iter().all(|s| *s < WIDEST);
-    usable.then_some(Boxed { occluder, half })
+    let usable = occluder.occludes() && variance.iter().all(|s| *s < MAX_OCCLUDER_VARIANCE);
+    usable.then_some(BoundedOccluder { occluder, half })
 }
 
 /// Appends the tree over `boxes`, whose first one is member `first`, and puts them into the order of its leaves.
-fn build(boxes: &mut [Boxed], first: usize, nodes: &mut Vec<Node>) {
+fn build(boxes: &mut [BoundedOccluder], first: usize, nodes: &mut Vec<BvhNode>) {
     let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     let (mut least, mut most) = (low, high);
     for b in boxes.iter() {
@@ -158,10 +158,10 @@ fn build(boxes: &mut [Boxed], first: usize, nodes: &mut Vec<Node>) {
     }
     let at = nodes.len();
     if boxes.len() <= LEAF {
-        nodes.push(Node { low, high, first: first as u32, count: boxes.len() as u32 });
+        nodes.push(BvhNode { low, high, first: first as u32, count: boxes.len() as u32 });
         return;
     }
-    nodes.push(Node { low, high, first: 0, count: 0 });
+    nodes.push(BvhNode { low, high, first: 0, count: 0 });
     let width = |k: usize| most[k] - least[k];
     let axis = (1..3).fold(0, |best, k| if width(k) > width(best) { k } else { best });
     let middle = boxes.len() / 2;
@@ -226,7 +226,7 @@ mod tests {
         for i in 0..g.len() {
             // A probe adds the deviation of its own Gaussian to the clearance.
             let own = members[i].axes.iter().map(|a| dot(*a, normals[i]).powi(2)).sum::<f32>().sqrt();
-            let rays = Occluders::new(&source, ProbeSettings { bias: settings.bias + own, ..settings });
+            let rays = OccluderBvh::new(&source, ProbeSettings { bias: settings.bias + own, ..settings });
             for (k, d) in directions.iter().enumerate() {
                 expected.push(probes.transmittance[k][i]);
                 found.push(rays.transmittance(g.get(Field::Mean, i), *d));
@@ -247,7 +247,7 @@ mod tests {
         g.field_mut(Field::OpacityLogit).fill(20.0);
         let source = source(&g, &options);
         let through = |settings: ProbeSettings, origin: Vec3, d: Vec3| {
-            Occluders::new(&source, settings).transmittance(origin, d)
+            OccluderBvh::new(&source, settings).transmittance(origin, d)
         };
         let usual = ProbeSettings::default();
         assert!((through(usual, [0.0; 3], [0.0, 0.0, 1.0]) - 0.01).abs() < 1e-4, "alpha ends at 0.99");
@@ -257,9 +257,9 @@ mod tests {
         assert_eq!(through(ProbeSettings { reach: 0.5, ..usual }, [0.0; 3], [0.0, 0.0, 1.0]), 1.0);
         let half = through(usual, [0.1 * (2.0 * 2.0f32.ln()).sqrt(), 0.0, 0.0], [0.0, 0.0, 1.0]);
         assert!((half - 0.5).abs() < 1e-3, "{half}");
-        assert_eq!(Occluders::new(&source, usual).transmittance([f32::NAN; 3], [0.0, 0.0, 1.0]), 1.0);
+        assert_eq!(OccluderBvh::new(&source, usual).transmittance([f32::NAN; 3], [0.0, 0.0, 1.0]), 1.0);
         let empty = Gaussians::zeroed(0, 1, 0, 0);
         let nothing = AttributeSource { gaussians: &empty, ..source };
-        assert_eq!(Occluders::new(&nothing, usual).transmittance([0.0; 3], [0.0, 0.0, 1.0]), 1.0);
+        assert_eq!(OccluderBvh::new(&nothing, usual).transmittance([0.0; 3], [0.0, 0.0, 1.0]), 1.0);
     }
 }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::Frame;
 use crate::cpu::{Pass, Surface, SurfaceShader, linear_from_srgb, normalise, surface_at};
 use relume_layout::channel::{self, OutgoingRadiance};
-use relume_layout::constants::LEAST_COVERAGE;
+use relume_layout::constants::MIN_COVERAGE;
 use relume_scene::Output;
 use relume_scene::light::Reflector;
 
@@ -91,7 +91,7 @@ fn write_attribute(
     let normal = if facing < 0.0 { unit.map(|v| -v) } else { unit };
     match output {
         Output::Albedo => target.copy_from_slice(&surface.albedo),
-        Output::Normal if length > LEAST_COVERAGE => target.copy_from_slice(&normal),
+        Output::Normal if length > MIN_COVERAGE => target.copy_from_slice(&normal),
         Output::Metallic => target[0] = surface.metal,
         Output::Roughness => target[0] = surface.rough,
         Output::Visibility => {

@@ -8,16 +8,16 @@ use multiversion::multiversion;
 use crate::ProbeSettings;
 use crate::cpu::lanes::{LANES, Lanes, exp_negative};
 use crate::cpu::occluder::{Footprint, Occluder, Vec3, dot, plane_basis};
-use relume_layout::constants::{ALPHA_MAX, NO_HIT, OPAQUE};
+use relume_layout::constants::{ALPHA_MAX, MIN_TRANSMITTANCE, NO_HIT};
 
 /// Gaussians there are for each cell of the grid.
 const PER_CELL: usize = 4;
 /// Most cells along a side.
-const SIDE_MAX: usize = 256;
+const MAX_GRID_SIDE: usize = 256;
 
 /// Where the visibility of a Gaussian is measured from.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Query {
+pub(super) struct VisibilityQuery {
     pub(super) point: Vec3,
     /// Occluders must be this much further along.
     pub(super) clearance: f32,
@@ -34,7 +34,7 @@ struct PlaneQuery {
 
 /// The footprint of a Gaussian along one direction.
 #[derive(Debug, Clone, Copy)]
-struct Flat {
+struct ProjectedFootprint {
     index: u32,
     centre: [f32; 2],
     depth: f32,
@@ -58,7 +58,7 @@ struct Block {
 /// Transmittance and dominant occluder of every query towards `d`.
 pub(super) fn measure_direction(
     occluders: &[Occluder],
-    queries: &[Query],
+    queries: &[VisibilityQuery],
     d: Vec3,
     settings: ProbeSettings,
 ) -> (Vec<f32>, Vec<u32>) {
@@ -95,8 +95,8 @@ pub(super) fn measure_direction(
 }
 
 /// Footprints in order of depth, ties by index, from the order of the Gaussians.
-fn nearest_first(flats: impl Iterator<Item = Flat>) -> Vec<Flat> {
-    let flats: Vec<Flat> = flats.collect();
+fn nearest_first(flats: impl Iterator<Item = ProjectedFootprint>) -> Vec<ProjectedFootprint> {
+    let flats: Vec<ProjectedFootprint> = flats.collect();
     // Keys are moved about, not footprints; their order is that of `f32::total_cmp`.
     let key = |depth: f32| {
         let bits = depth.to_bits();
@@ -108,17 +108,17 @@ fn nearest_first(flats: impl Iterator<Item = Flat>) -> Vec<Flat> {
     keys.iter().map(|key| flats[(key & 0xffff_ffff) as usize]).collect()
 }
 
-fn flatten(o: &Occluder, index: u32, d: Vec3, u: Vec3, v: Vec3) -> Option<Flat> {
+fn flatten(o: &Occluder, index: u32, d: Vec3, u: Vec3, v: Vec3) -> Option<ProjectedFootprint> {
     if !o.occludes() {
         return None;
     }
     let footprint = o.along(d, u, v)?;
     let (centre, depth) = ([dot(o.mean, u), dot(o.mean, v)], dot(o.mean, d));
-    Some(Flat { index, centre, depth, extent: footprint.extent(), footprint })
+    Some(ProjectedFootprint { index, centre, depth, extent: footprint.extent(), footprint })
 }
 
 /// The footprints of `members` as blocks.
-fn lay_out(flats: &[Flat], members: &[u32], clearance: f32, blocks: &mut Vec<Block>) {
+fn lay_out(flats: &[ProjectedFootprint], members: &[u32], clearance: f32, blocks: &mut Vec<Block>) {
     blocks.clear();
     blocks.extend(members.chunks(LANES).map(|members| {
         let mut block = Block::nothing();
@@ -142,7 +142,7 @@ impl Block {
         }
     }
 
-    fn put(&mut self, lane: usize, f: &Flat, clearance: f32) {
+    fn put(&mut self, lane: usize, f: &ProjectedFootprint, clearance: f32) {
         self.index[lane] = f.index;
         (0..2).for_each(|k| self.centre[k].0[lane] = f.centre[k]);
         self.depth.0[lane] = f.depth;
@@ -214,8 +214,8 @@ fn answer(blocks: &[Block], q: &PlaneQuery, reach: f32) -> (f32, u32) {
             }
             transmittance *= 1.0 - alpha.0[lane];
         }
-        // Every footprint behind weighs less than `OPAQUE`; the first one counted weighed 1/255 or more.
-        if transmittance < OPAQUE {
+        // Every footprint behind weighs less than `MIN_TRANSMITTANCE`; the first one counted weighed 1/255 or more.
+        if transmittance < MIN_TRANSMITTANCE {
             return (0.0, hit);
         }
     }
@@ -240,7 +240,7 @@ type Span = [u16; 4];
 
 impl Grid {
     /// A grid over the centres of `flats`.
-    fn over(flats: &[Flat]) -> Self {
+    fn over(flats: &[ProjectedFootprint]) -> Self {
         let mut lo = [f32::INFINITY; 2];
         let mut hi = [f32::NEG_INFINITY; 2];
         for f in flats {
@@ -249,7 +249,7 @@ impl Grid {
                 hi[k] = hi[k].max(f.centre[k]);
             }
         }
-        let side = ((flats.len() as f32 / PER_CELL as f32).sqrt() as usize).clamp(1, SIDE_MAX);
+        let side = ((flats.len() as f32 / PER_CELL as f32).sqrt() as usize).clamp(1, MAX_GRID_SIDE);
         let inverse_size = std::array::from_fn(|k| side as f32 / (hi[k] - lo[k]).max(1e-20));
         Self { origin: lo, inverse_size, side }
     }

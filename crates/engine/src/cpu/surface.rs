@@ -78,7 +78,7 @@ pub struct SurfaceShader<'a> {
     /// The forward model.
     pub options: &'a ShadingOptions,
     /// Degree of the visibility field.
-    pub order: usize,
+    pub sh_degree: usize,
 }
 
 pub(super) fn dot3(a: [f32; 3], b: [f32; 3]) -> f32 {

@@ -5,11 +5,11 @@ use crate::cpu::lambert::Lambert;
 use crate::cpu::project::{normalise, normalise_backward};
 use crate::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader, dot3};
 use relume_layout::channel::OutgoingRadiance;
-use relume_layout::constants::LEAST_NOV;
+use relume_layout::constants::MIN_NOV;
 use relume_scene::VisibilityForm;
 use relume_scene::light::{
-    BrdfLut, DIELECTRIC_F0, LOBE_ORDERS, LevelPosition, LightTables, LobeAttenuation, LutSample, Sheen, Taps,
-    sh_eval, sh_eval_with_gradient,
+    BrdfLut, DIELECTRIC_F0, LOBE_DEGREES, LevelPosition, LightTables, LobeAttenuation, LutSample, Sheen,
+    Taps, sh_eval, sh_eval_with_gradient,
 };
 
 /// A shaded surface and what its backward pass needs.
@@ -62,7 +62,7 @@ impl SurfaceShader<'_> {
             normal = normal.map(|v| -v);
         }
         let nov_raw = facing.abs();
-        let nov = nov_raw.clamp(LEAST_NOV, 1.0);
+        let nov = nov_raw.clamp(MIN_NOV, 1.0);
         let bent = std::array::from_fn(|k| 2.0 * nov * normal[k] - s.view[k]);
         let (reflection, reflection_length) = normalise(bent);
         let direct = self.direct(s, normal, nov);
@@ -101,7 +101,7 @@ impl SurfaceShader<'_> {
             normal_length,
             flipped,
             nov,
-            nov_inside: nov_raw > LEAST_NOV && nov_raw < 1.0,
+            nov_inside: nov_raw > MIN_NOV && nov_raw < 1.0,
             reflection,
             reflection_length,
             direct: direct.map(|d| d.irradiance),
@@ -117,9 +117,9 @@ impl SurfaceShader<'_> {
     }
 
     /// `h_l(r)` of the lobe form, or 1 for the article's `V(R)`.
-    fn attenuation(&self, rough: f32) -> ([f32; LOBE_ORDERS], [f32; LOBE_ORDERS]) {
+    fn attenuation(&self, rough: f32) -> ([f32; LOBE_DEGREES], [f32; LOBE_DEGREES]) {
         if self.options.visibility == VisibilityForm::Sigmoid {
-            return ([1.0; LOBE_ORDERS], [0.0; LOBE_ORDERS]);
+            return ([1.0; LOBE_DEGREES], [0.0; LOBE_DEGREES]);
         }
         let s = LobeAttenuation::shared().sample(rough);
         (s.value, s.by_roughness)
@@ -131,10 +131,10 @@ impl SurfaceShader<'_> {
             return (1.0, 1.0);
         }
         let mut y = [0.0f32; MAX_COEFFICIENTS];
-        sh_eval(self.order, reflection, &mut y);
+        sh_eval(self.sh_degree, reflection, &mut y);
         let (h, _) = self.attenuation(s.rough);
         let mut raw = 0.0;
-        for (l, h) in h.iter().enumerate().take(self.order + 1) {
+        for (l, h) in h.iter().enumerate().take(self.sh_degree + 1) {
             let mut band = 0.0;
             for j in l * l..(l + 1) * (l + 1) {
                 band += y[j] * s.visibility[j];
@@ -229,9 +229,9 @@ impl SurfaceShader<'_> {
         let by_raw = by_visible * self.squash_derivative(f.visible_raw, f.visible);
         if by_raw != 0.0 {
             let (mut y, mut dy) = ([0.0f32; MAX_COEFFICIENTS], [[0.0f32; 3]; MAX_COEFFICIENTS]);
-            sh_eval_with_gradient(self.order, f.reflection, &mut y, &mut dy);
+            sh_eval_with_gradient(self.sh_degree, f.reflection, &mut y, &mut dy);
             let (h, dh) = self.attenuation(s.rough);
-            for l in 0..=self.order {
+            for l in 0..=self.sh_degree {
                 let mut band = 0.0;
                 for j in l * l..(l + 1) * (l + 1) {
                     out.visibility[j] += by_raw * h[l] * y[j];

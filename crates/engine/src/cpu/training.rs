@@ -11,25 +11,25 @@ use crate::cpu::{
     outward_normals, radiance_image, radiance_image_backward,
 };
 use crate::density::{DensityPlan, DensitySignals};
-use crate::step::{FieldUpdate, PhotoId, ProbeMeasurement, Step, StepSums};
+use crate::step::{FieldUpdate, PhotoId, ProbeMeasurement, Step, StepResult};
 use crate::training;
 use crate::{
-    DeviceError, Gradients, LightTurn, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, StepWeights,
+    DeviceError, Gradients, LightRotation, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, StepWeights,
     TrainState, fibonacci_sphere, indirect_basis,
 };
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables};
-use relume_scene::{ColumnTurn, Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
+use relume_scene::{ColumnShift, Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
 
 /// The state with the operators of its light, and the snapshot of both to return to.
-pub struct Training {
+pub struct CpuTraining {
     state: TrainState,
     operators: Arc<EnvOperators>,
     snapshot: (TrainState, Arc<EnvOperators>),
 }
 
 /// Value and gradients of the objective.
-pub struct Outcome {
+pub struct ObjectiveResult {
     /// The objective.
     pub loss: f32,
     /// Mean squared error of the leading branch.
@@ -42,7 +42,7 @@ pub struct Outcome {
 pub(super) fn source<'a>(
     state: &'a TrainState,
     basis: &'a [[f32; 3]; 16],
-    light: LightTurn,
+    light: LightRotation,
 ) -> AttributeSource<'a> {
     let Model { gaussians, prototypes, shading, .. } = &state.model;
     AttributeSource {
@@ -61,15 +61,15 @@ pub(super) fn environment_radiance(model: &Model) -> Vec<[f32; 3]> {
     model.env_raw.iter().map(|t| t.map(softplus)).collect()
 }
 
-impl Training {
+impl CpuTraining {
     /// Takes a training over.
     pub fn new(state: TrainState, operators: &Arc<EnvOperators>) -> Self {
         Self { snapshot: (state.clone(), operators.clone()), state, operators: operators.clone() }
     }
 }
 
-impl training::Training for Training {
-    fn step(&mut self, step: &Step<'_>) -> Result<Option<StepSums>, DeviceError> {
+impl training::TrainingEngine for CpuTraining {
+    fn step(&mut self, step: &Step<'_>) -> Result<Option<StepResult>, DeviceError> {
         let outcome = objective(step, &self.state, &self.operators);
         let finite = outcome.loss.is_finite() && outcome.gradients.is_finite();
         if finite {
@@ -77,14 +77,14 @@ impl training::Training for Training {
             density.record(&outcome.gradients);
             adam_step(model, moments, &outcome.gradients, &step.sizes, step.counts);
         }
-        Ok(Some(StepSums { loss: outcome.loss, mse: outcome.mse, finite }))
+        Ok(Some(StepResult { loss: outcome.loss, mse: outcome.mse, finite }))
     }
 
     fn holds(&self, _: PhotoId) -> bool {
         false
     }
 
-    fn finish(&mut self) -> Result<Option<StepSums>, DeviceError> {
+    fn finish(&mut self) -> Result<Option<StepResult>, DeviceError> {
         Ok(None)
     }
 
@@ -148,7 +148,7 @@ impl training::Training for Training {
 }
 
 /// The objective of `step` (docs/MODEL.md section 5) and its gradients; `operators` belong to the state's light.
-pub fn objective(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) -> Outcome {
+pub fn objective(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) -> ObjectiveResult {
     match step.branches.is_physical() {
         true => both_branches(step, state, operators),
         false => radiance_branch(step, state),
@@ -156,7 +156,7 @@ pub fn objective(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
 }
 
 /// The objective of the radiance branch and the geometry.
-fn radiance_branch(step: &Step<'_>, state: &TrainState) -> Outcome {
+fn radiance_branch(step: &Step<'_>, state: &TrainState) -> ObjectiveResult {
     let (photo, w) = (step.photo, &step.weights);
     let source = source(state, &NO_INDIRECT_BASIS, photo.light);
     let channels = step.branches.channels(source.gaussians, source.options).differentiated;
@@ -173,18 +173,18 @@ fn radiance_branch(step: &Step<'_>, state: &TrainState) -> Outcome {
     let mut gradients = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count, None);
     gradients.env_raw = vec![[0.0; 3]; state.model.env_raw.len()];
     loss += parameters::flatness(source.gaussians, w.parameters.flatness, &mut gradients);
-    Outcome { loss, mse: fit.mse, gradients }
+    ObjectiveResult { loss, mse: fit.mse, gradients }
 }
 
 /// The whole objective (Eq. 29 and additions).
-fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) -> Outcome {
+fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) -> ObjectiveResult {
     let (photo, w, model) = (step.photo, &step.weights, &state.model);
     let radiance = environment_radiance(model);
-    let turn = ColumnTurn::new(photo.light.radians, model.env_width);
+    let turn = ColumnShift::new(photo.light.radians, model.env_width);
     let tables = operators.apply(&turn.apply(&radiance));
     let basis = indirect_basis(&tables);
-    let order = model.gaussians.visibility_order();
-    let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
+    let sh_degree = model.gaussians.visibility_degree();
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, sh_degree };
     let source = source(state, &basis, photo.light).under(shader);
     let view = RasterCamera::new(&photo.camera, source.options);
     let channels = step.branches.channels(&model.gaussians, &model.shading);
@@ -213,7 +213,7 @@ fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
         .map(|(g, raw)| std::array::from_fn(|c| g[c] / (1.0 + (-raw[c]).exp())))
         .collect();
     loss += parameter_terms(w, &source, &pass, &state.labels, &mut gradients);
-    Outcome { loss, mse: physical.mse, gradients }
+    ObjectiveResult { loss, mse: physical.mse, gradients }
 }
 
 /// Terms on the G-buffer: adds their gradients, returns their value.
@@ -271,14 +271,15 @@ fn measure(state: &mut TrainState, operators: &EnvOperators, how: &ProbeMeasurem
     }
     let radiance = environment_radiance(&state.model);
     let turned =
-        |turn: &f64| operators.apply(&ColumnTurn::new(*turn, state.model.env_width).apply(&radiance));
-    let tables: Vec<LightTables> = if gathers { how.turns.iter().map(turned).collect() } else { Vec::new() };
-    let order = state.model.gaussians.visibility_order();
+        |turn: &f64| operators.apply(&ColumnShift::new(*turn, state.model.env_width).apply(&radiance));
+    let tables: Vec<LightTables> =
+        if gathers { how.rotations.iter().map(turned).collect() } else { Vec::new() };
+    let sh_degree = state.model.gaussians.visibility_degree();
     for _ in 0..how.repeats {
-        let source = source(state, &NO_INDIRECT_BASIS, LightTurn::default());
+        let source = source(state, &NO_INDIRECT_BASIS, LightRotation::default());
         let directions = fibonacci_sphere(how.directions);
         let probes = Probes::measure(&source, directions, ProbeSettings::of(source.options));
-        let labels = probes.coefficients(order);
+        let labels = probes.coefficients(sh_degree);
         let arriving = arriving(&source, &operators.split().lights);
         let source = AttributeSource { arriving: &arriving, ..source };
         if gathers {

@@ -7,7 +7,7 @@ use crate::gpu::lock::locked;
 use crate::gpu::shaders::Kernel;
 
 /// Bind groups kept at most; beyond that all are made anew.
-const MOST: usize = 4096;
+const MAX_BIND_GROUPS: usize = 4096;
 
 /// What a bind group binds, in the order of its bindings.
 #[derive(Debug, PartialEq, Eq, Hash)]
@@ -46,7 +46,7 @@ impl BindGroups {
         if let Some(group) = groups.get(&key) {
             return group.clone();
         }
-        if groups.len() >= MOST {
+        if groups.len() >= MAX_BIND_GROUPS {
             groups.clear();
         }
         groups.entry(key).or_insert_with(make).clone()

@@ -11,12 +11,12 @@ use relume_scene::Field;
 /// One new Gaussian; `plan` of `shaders/density_gather.wgsl`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
-struct Entry {
+struct PlanEntry {
     source: u32,
     origin: u32,
 }
 
-impl Entry {
+impl PlanEntry {
     fn new(planned: &PlannedGaussian) -> Self {
         let origin = match planned.origin {
             SplitOrigin::Keep => 0,
@@ -82,7 +82,7 @@ pub fn gather(
         second: gpu.buffer("second moments", floats)?,
         ..old.clone()
     };
-    let entries: Vec<Entry> = plan.gaussians.iter().map(Entry::new).collect();
+    let entries: Vec<PlanEntry> = plan.gaussians.iter().map(PlanEntry::new).collect();
     let entries = gpu.upload("density plan", &entries)?;
     let bindings = [
         uniform(&old.layout),

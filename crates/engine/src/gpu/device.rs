@@ -11,18 +11,18 @@ use crate::DeviceError;
 use crate::gpu::adapter::Adapters;
 use crate::gpu::bind_groups::BindGroups;
 use crate::gpu::buffer::{Buffer, MemoryAccount};
+use crate::gpu::counters::{DeviceCounters, DeviceCounts};
 use crate::gpu::lock::locked;
 use crate::gpu::shaders::{BindingKind, Kernel};
-use crate::gpu::tally::{Counts, Tally};
 use crate::gpu::timing::{StageTime, Timings};
 use crate::gpu::trusted;
 
 /// How long the host waits for the device before it gives up on it, s.
-pub(super) const PATIENCE: u64 = 120;
+pub(super) const DEVICE_TIMEOUT_S: u64 = 120;
 /// Bytes of the buffer that one recording's uniforms share.
 pub(super) const UNIFORM_BYTES: u64 = 256 << 10;
 /// Bytes of the smallest buffer: an empty array is still bound as one element of any kind.
-const LEAST_BYTES: u64 = 256;
+const MIN_BUFFER_BYTES: u64 = 256;
 /// What fresh buffers hold when garbage is asked for.
 const GARBAGE: f32 = -12345.0;
 
@@ -36,7 +36,7 @@ pub struct GpuOptions {
     /// Add floats by compare and exchange even where the device could do it natively.
     pub compare_exchange: bool,
     /// Bind no more than this many bytes at once, as if the device could not.
-    pub most_binding: Option<u64>,
+    pub binding_limit: Option<u64>,
 }
 
 impl GpuOptions {
@@ -68,7 +68,7 @@ pub(super) struct Inner {
     pub(super) timings: Mutex<Option<Timings>>,
     /// Staging buffers that nothing is on its way to.
     pub(super) staging: Mutex<Vec<wgpu::Buffer>>,
-    pub(super) tally: Tally,
+    pub(super) counters: DeviceCounters,
     pub(super) bind_groups: BindGroups,
     options: GpuOptions,
     pipelines: Mutex<HashMap<&'static str, Arc<Pipeline>>>,
@@ -120,7 +120,7 @@ impl Gpu {
         });
         let uniform_align = u64::from(adapter.limits().min_uniform_buffer_offset_alignment).max(16);
         let mut report = report.clone();
-        report.max_binding = report.max_binding.min(options.most_binding.unwrap_or(u64::MAX));
+        report.max_binding = report.max_binding.min(options.binding_limit.unwrap_or(u64::MAX));
         let inner = Inner {
             device,
             queue,
@@ -130,7 +130,7 @@ impl Gpu {
             submitting: Mutex::default(),
             timings: Mutex::new(None),
             staging: Mutex::default(),
-            tally: Tally::default(),
+            counters: DeviceCounters::default(),
             bind_groups: BindGroups::default(),
             options,
             pipelines: Mutex::default(),
@@ -165,7 +165,8 @@ impl Gpu {
     pub fn buffer<T: Pod>(&self, label: &str, len: usize) -> Result<Buffer<T>, DeviceError> {
         self.healthy()?;
         self.forget_freed();
-        let bytes = (len as u64).saturating_mul(size_of::<T>() as u64).max(LEAST_BYTES).next_multiple_of(16);
+        let bytes =
+            (len as u64).saturating_mul(size_of::<T>() as u64).max(MIN_BUFFER_BYTES).next_multiple_of(16);
         let most = self.inner.report.max_binding.min(self.inner.report.max_buffer);
         if bytes > most {
             return Err(DeviceError::TooLarge { what: label.to_owned(), needs: bytes, most });
@@ -219,22 +220,22 @@ impl Gpu {
         &self,
         submission_index: Option<wgpu::SubmissionIndex>,
     ) -> Result<(), DeviceError> {
-        let (timeout, start) = (Some(Duration::from_secs(PATIENCE)), Instant::now());
+        let (timeout, start) = (Some(Duration::from_secs(DEVICE_TIMEOUT_S)), Instant::now());
         let polled = self.inner.device.poll(wgpu::PollType::Wait { submission_index, timeout });
-        self.inner.tally.waited(start.elapsed());
+        self.inner.counters.waited(start.elapsed());
         match polled {
             Ok(_) => self.healthy(),
             Err(wgpu::PollError::Timeout) => {
                 let mut fault = locked(&self.inner.fault);
-                Err(fault.get_or_insert(DeviceError::Timeout(PATIENCE)).clone())
+                Err(fault.get_or_insert(DeviceError::Timeout(DEVICE_TIMEOUT_S)).clone())
             }
             Err(error) => Err(self.failure(error.to_string())),
         }
     }
 
     /// What the device was asked for so far.
-    pub fn counts(&self) -> Counts {
-        self.inner.tally.counts()
+    pub fn counts(&self) -> DeviceCounts {
+        self.inner.counters.counts()
     }
 
     /// Gives the device up: everything asked of it from now on fails with [`DeviceError::Lost`].

@@ -201,8 +201,8 @@ impl ModelBuffers {
         buffer: &Buffer<f32>,
         shape: &Gaussians,
     ) -> Result<Gaussians, DeviceError> {
-        let (l, order) = (shape.visibility_order(), shape.radiance_order());
-        let mut out = Gaussians::zeroed(self.len(), shape.prototypes(), l, order);
+        let (l, sh_degree) = (shape.visibility_degree(), shape.radiance_degree());
+        let mut out = Gaussians::zeroed(self.len(), shape.prototypes(), l, sh_degree);
         from_planar(&gpu.read(buffer, 0..self.layout.floats())?, &mut out);
         Ok(out)
     }

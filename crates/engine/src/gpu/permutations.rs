@@ -34,8 +34,8 @@ pub(super) fn by_coefficients(
     coefficients: usize,
     kernels: [&'static Kernel; 7],
 ) -> Result<&'static Kernel, DeviceError> {
-    let order = (0..7).find(|order| (order + 1) * (order + 1) == coefficients);
-    order
-        .map(|order| kernels[order])
+    let sh_degree = (0..7).find(|sh_degree| (sh_degree + 1) * (sh_degree + 1) == coefficients);
+    sh_degree
+        .map(|sh_degree| kernels[sh_degree])
         .ok_or_else(|| DeviceError::Misuse(format!("no kernel for {coefficients} visibility coefficients")))
 }

@@ -7,14 +7,14 @@ use crate::DeviceError;
 use crate::gpu::bind_groups::{BindKey, Bound};
 use crate::gpu::buffer::Buffer;
 use crate::gpu::device::{Gpu, UNIFORM_BYTES};
-use crate::gpu::fetch::{Fetches, Submission, Ticket};
 use crate::gpu::lock::locked;
+use crate::gpu::readback::{ReadbackCopies, ReadbackTicket, Submission};
 use crate::gpu::shaders::Kernel;
 
 /// Most workgroups in one dimension of a dispatch.
-const MOST_GROUPS: u64 = 65_535;
+const MAX_WORKGROUPS: u64 = 65_535;
 /// Stages that one submission can time.
-const MOST_STAGES: u32 = 128;
+const MAX_STAGES: u32 = 128;
 
 /// How many workgroups a dispatch has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,8 +31,8 @@ impl Groups {
     /// Dispatch dimensions for workgroups of `size` invocations.
     fn dimensions(self, size: [u32; 3]) -> [u32; 2] {
         let folded = |groups: u64| {
-            let columns = groups.min(MOST_GROUPS);
-            [columns as u32, groups.div_ceil(columns.max(1)).min(MOST_GROUPS) as u32]
+            let columns = groups.min(MAX_WORKGROUPS);
+            [columns as u32, groups.div_ceil(columns.max(1)).min(MAX_WORKGROUPS) as u32]
         };
         match self {
             Self::Linear(n) => folded((n as u64).div_ceil(u64::from(size.iter().product::<u32>().max(1)))),
@@ -91,7 +91,7 @@ pub struct Recorder<'g> {
     queries: Option<(wgpu::QuerySet, Vec<&'static str>)>,
     work: Vec<(&'static str, u64, u64)>,
     dispatches: u32,
-    fetches: Fetches,
+    fetches: ReadbackCopies,
 }
 
 impl Gpu {
@@ -109,7 +109,7 @@ impl<'g> Recorder<'g> {
             let descriptor = wgpu::QuerySetDescriptor {
                 label: Some("stages"),
                 ty: wgpu::QueryType::Timestamp,
-                count: 2 * MOST_STAGES,
+                count: 2 * MAX_STAGES,
             };
             (device.create_query_set(&descriptor), Vec::new())
         });
@@ -123,7 +123,7 @@ impl<'g> Recorder<'g> {
             queries,
             work: Vec::new(),
             dispatches: 0,
-            fetches: Fetches::default(),
+            fetches: ReadbackCopies::default(),
         }
     }
 
@@ -217,7 +217,7 @@ impl<'g> Recorder<'g> {
 
     /// Brings elements of a buffer to the host, as they are after all that is recorded, whenever it was asked for; what would
     /// lie beyond the end is left out.
-    pub fn fetch<T>(&mut self, buffer: &Buffer<T>, range: Range<usize>) -> Ticket<T> {
+    pub fn fetch<T>(&mut self, buffer: &Buffer<T>, range: Range<usize>) -> ReadbackTicket<T> {
         self.fetches.add(buffer, range)
     }
 
@@ -251,7 +251,7 @@ impl<'g> Recorder<'g> {
         let staging = std::mem::take(&mut self.fetches).record(self.gpu, &mut self.encoder)?;
         let (commands, start) = (self.encoder.finish(), Instant::now());
         let index = inner.queue.submit([commands]);
-        let number = inner.tally.submit(self.dispatches, start.elapsed());
+        let number = inner.counters.submit(self.dispatches, start.elapsed());
         drop(submitting);
         let submission = Submission::new(self.gpu, index, number, staging);
         if let Some((buffer, names)) = resolved {
@@ -310,7 +310,7 @@ impl<'g> Recorder<'g> {
     fn compute_pass(&mut self) -> &mut wgpu::ComputePass<'static> {
         let Self { encoder, queries, stage, pass, .. } = self;
         pass.get_or_insert_with(|| {
-            let timed = queries.as_mut().filter(|(_, names)| (names.len() as u32) < MOST_STAGES);
+            let timed = queries.as_mut().filter(|(_, names)| (names.len() as u32) < MAX_STAGES);
             let timestamp_writes = timed.map(|(set, names)| {
                 names.push(stage);
                 let first = 2 * (names.len() as u32 - 1);

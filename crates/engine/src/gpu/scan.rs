@@ -20,12 +20,12 @@ struct ScanSize {
 /// Memory for prefix sums, kept from one to the next.
 #[derive(Debug, Default)]
 pub struct Scan {
-    levels: Vec<Level>,
+    levels: Vec<ScanLevel>,
 }
 
 /// Block totals of one level, and their own prefix sums.
 #[derive(Debug, Default)]
-struct Level {
+struct ScanLevel {
     sums: Option<Buffer<u32>>,
     prefixes: Option<Buffer<u32>>,
 }
@@ -59,7 +59,7 @@ impl Scan {
         (output, n_out): (&Buffer<u32>, usize),
     ) -> Result<(), DeviceError> {
         if self.levels.len() <= depth {
-            self.levels.push(Level::default());
+            self.levels.push(ScanLevel::default());
         }
         let n_blocks = n_out.div_ceil(SCAN_BLOCK);
         let level = &mut self.levels[depth];

@@ -12,11 +12,11 @@ pub struct LightShape {
 }
 
 impl LightShape {
-    /// For environments of `width` x `height` texels and visibility of degree `order`.
-    pub fn new(width: usize, height: usize, order: usize, resolution: TableResolution) -> Self {
+    /// For environments of `width` x `height` texels and visibility of degree `sh_degree`.
+    pub fn new(width: usize, height: usize, sh_degree: usize, resolution: TableResolution) -> Self {
         Self {
             tables: TableOperators::new(width, height, resolution),
-            operators: EnvOperators::new(width, height, order, resolution),
+            operators: EnvOperators::new(width, height, sh_degree, resolution),
         }
     }
 
@@ -52,7 +52,7 @@ pub struct ParityCase<'a> {
 
 /// A splat in front of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SplatSeen {
+pub struct VisibleSplat {
     /// Which Gaussian.
     pub gaussian: usize,
     /// Projected mean, pixels.
@@ -73,7 +73,7 @@ pub struct ParityResult {
     /// By parameter name, as the reference names them.
     pub gradients: Arrays,
     /// Splats that are drawn, by Gaussian.
-    pub splats: Vec<SplatSeen>,
+    pub splats: Vec<VisibleSplat>,
 }
 
 impl ParityResult {

@@ -1,6 +1,6 @@
 //! The CPU engine's result.
 
-use crate::parity::case::{ParityCase, ParityResult, SplatSeen};
+use crate::parity::case::{ParityCase, ParityResult, VisibleSplat};
 use crate::{Array, Arrays, ENVIRONMENT, PROTOTYPES};
 use relume_engine::Gradients;
 use relume_engine::cpu::{AttributeSource, BranchImages, Pass, SurfaceShader};
@@ -10,7 +10,7 @@ use relume_layout::constants::EarlyStop;
 use relume_scene::{Field, Model, softplus};
 
 /// The result of the CPU engine, without early stop.
-pub fn by_cpu(case: &ParityCase<'_>) -> ParityResult {
+pub fn cpu_result(case: &ParityCase<'_>) -> ParityResult {
     let (model, operators) = (case.model, &case.light.operators);
     let radiance: Vec<[f32; 3]> = model.env_raw.iter().map(|t| t.map(softplus)).collect();
     let tables = operators.apply(&radiance);
@@ -23,8 +23,8 @@ pub fn by_cpu(case: &ParityCase<'_>) -> ParityResult {
         indirect_basis: &indirect_basis(&tables),
         light: None,
     };
-    let order = model.gaussians.visibility_order();
-    let shader = SurfaceShader { tables: &tables, options: &model.shading, order };
+    let sh_degree = model.gaussians.visibility_degree();
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, sh_degree };
     let source = source.under(shader);
     let channels = Channels::Full(model.gaussians.width(Field::Visibility));
     let pass =
@@ -43,10 +43,10 @@ pub fn by_cpu(case: &ParityCase<'_>) -> ParityResult {
         .collect();
     let width = pass.view.width;
     let coverage = |i| f64::from(pass.at(i % width, i / width, COVERAGE));
-    let mut splats: Vec<SplatSeen> = pass
+    let mut splats: Vec<VisibleSplat> = pass
         .splats
         .iter()
-        .map(|s| SplatSeen {
+        .map(|s| VisibleSplat {
             gaussian: s.gaussian as usize,
             mean: s.mean.map(f64::from),
             conic: s.conic.map(f64::from),

@@ -1,7 +1,7 @@
 //! The GPU engine's result.
 
 use crate::Array;
-use crate::parity::case::{ParityCase, ParityResult, SplatSeen};
+use crate::parity::case::{ParityCase, ParityResult, VisibleSplat};
 use crate::parity::cpu::shared;
 use relume_engine::DeviceError;
 use relume_engine::gpu::frame::{FrameBranches, FrameGradients, FramePass};
@@ -10,7 +10,7 @@ use relume_engine::gpu::model::{ModelBuffers, from_planar};
 use relume_engine::gpu::objective::LOSS_SLOTS;
 use relume_engine::gpu::raster::SplatRecord;
 use relume_engine::gpu::shading::{Images, Shading};
-use relume_engine::gpu::update::{STATUS_WORDS, StepInput, Sums, Updater, Upstream};
+use relume_engine::gpu::update::{STATUS_WORDS, StepInput, UpdateSums, Updater, UpstreamGradients};
 use relume_engine::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, Raster};
 use relume_engine::{LightWeights, ParameterWeights, RasterCamera};
 use relume_layout::channel::Channels;
@@ -18,7 +18,7 @@ use relume_layout::constants::EarlyStop;
 use relume_scene::{Field, IndirectForm};
 
 /// Buffers of one result.
-struct Canvas {
+struct ParityBuffers {
     images: Images,
     by_images: Images,
     by_buffers: Buffer<[f32; 4]>,
@@ -31,7 +31,7 @@ struct Canvas {
     status: Buffer<u32>,
 }
 
-impl Canvas {
+impl ParityBuffers {
     fn new(gpu: &Gpu, case: &ParityCase<'_>, model: &ModelBuffers) -> Result<Self, DeviceError> {
         let padded =
             |rows: &[[f32; 3]]| -> Vec<[f32; 4]> { rows.iter().map(|[r, g, b]| [*r, *g, *b, 0.0]).collect() };
@@ -61,13 +61,13 @@ impl Canvas {
 ///
 /// # Errors
 /// What went wrong on the device.
-pub fn by_gpu(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, DeviceError> {
+pub fn gpu_result(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, DeviceError> {
     let options = case.model.shading;
     let camera = CameraUniform::new(&RasterCamera::new(case.camera, &options));
     let model = ModelBuffers::upload(gpu, case.model)?;
     let light = TrainingLight::new(gpu, &case.light.operators)?;
     let channels = Channels::Full(case.model.gaussians.width(Field::Visibility));
-    let canvas = Canvas::new(gpu, case, &model)?;
+    let parity_buffers = ParityBuffers::new(gpu, case, &model)?;
     let mut measured = case.gathered.as_flattened().to_vec();
     if !case.arriving.is_empty() {
         measured.resize(6 * case.arriving.len(), 0.0);
@@ -92,44 +92,44 @@ pub fn by_gpu(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, DeviceEr
         FramePass { channels, blending: EarlyStop::Never, branches: FrameBranches::Both(Box::new(shading)) };
     let mut raster = Raster::new(gpu)?;
     let projected = raster.prepare(&camera, &source)?;
-    let listed = projected.listed().clone();
+    let list_status = projected.list_status().clone();
     let mut recorder = gpu.record();
-    recorder.clear(&canvas.losses);
-    recorder.clear(&canvas.globals);
-    recorder.clear(&canvas.status);
-    recorder.clear(&canvas.density);
-    light.apply(&mut recorder, &model, 0.0, &LightWeights::default(), &canvas.losses);
+    recorder.clear(&parity_buffers.losses);
+    recorder.clear(&parity_buffers.globals);
+    recorder.clear(&parity_buffers.status);
+    recorder.clear(&parity_buffers.density);
+    light.apply(&mut recorder, &model, 0.0, &LightWeights::default(), &parity_buffers.losses);
     let frame = pass.forward(&mut recorder, projected)?;
-    pass.images(&mut recorder, &frame, &canvas.images)?;
+    pass.images(&mut recorder, &frame, &parity_buffers.images)?;
     let gbuffer = frame.gbuffer().clone();
     let gradients = FrameGradients {
-        by_images: &canvas.by_images,
-        by_buffers: &canvas.by_buffers,
+        by_images: &parity_buffers.by_images,
+        by_buffers: &parity_buffers.by_buffers,
         by_tables: &light.tables_gradient,
         differentiated: channels,
     };
     let frame = pass.backward(&mut recorder, frame, &gradients)?;
-    let upstream = Upstream::new(&frame);
-    let sums = Sums {
-        globals_gradient: &canvas.globals,
-        losses: &canvas.losses,
-        density: &canvas.density,
-        listed: &listed,
-        status: &canvas.status,
+    let upstream = UpstreamGradients::new(&frame);
+    let sums = UpdateSums {
+        globals_gradient: &parity_buffers.globals,
+        losses: &parity_buffers.losses,
+        density: &parity_buffers.density,
+        list_status: &list_status,
+        status: &parity_buffers.status,
     };
     let input = StepInput { model: &model, upstream, sums, weights: ParameterWeights::default() };
-    Updater::new(gpu)?.gradients(&mut recorder, &input, &canvas.out);
+    Updater::new(gpu)?.gradients(&mut recorder, &input, &parity_buffers.out);
     let (weights, indirect) = (LightWeights::default(), IndirectForm::Off);
-    light.backward(&mut recorder, &model, 0.0, &weights, indirect, &canvas.globals);
+    light.backward(&mut recorder, &model, 0.0, &weights, indirect, &parity_buffers.globals);
     recorder.submit()?;
-    read(gpu, case, &model, &canvas, upstream.splats, &gbuffer)
+    read(gpu, case, &model, &parity_buffers, upstream.splats, &gbuffer)
 }
 
 fn read(
     gpu: &Gpu,
     case: &ParityCase<'_>,
     buffers: &ModelBuffers,
-    canvas: &Canvas,
+    parity_buffers: &ParityBuffers,
     splats: &Buffer<SplatRecord>,
     gbuffer: &Buffer<[f32; 4]>,
 ) -> Result<ParityResult, DeviceError> {
@@ -138,24 +138,24 @@ fn read(
         let rows = gpu.read(buffer, 0..pixels)?;
         Ok(rows.iter().map(|p| [p[0], p[1], p[2]].map(f64::from)).collect())
     };
-    let globals = gpu.read(&canvas.globals, 0..buffers.globals.len())?;
+    let globals = gpu.read(&parity_buffers.globals, 0..buffers.globals.len())?;
     let (prototypes, by_raw) = globals.split_at(3 * buffers.n_prototypes);
     let mut gradients = shared(model, prototypes, &by_raw[..3 * buffers.n_texels]);
     let mut rows = model.gaussians.clone();
-    from_planar(&gpu.read(&canvas.out, 0..buffers.layout.floats())?, &mut rows);
+    from_planar(&gpu.read(&parity_buffers.out, 0..buffers.layout.floats())?, &mut rows);
     for field in Field::ALL {
         let values = rows.field(field).iter().map(|v| f64::from(*v)).collect();
         gradients.insert(field.name(), Array::new(&[rows.len(), rows.width(field)], values));
     }
     let splats = gpu.read(splats, 0..model.gaussians.len())?;
-    let seen = splats.iter().enumerate().filter(|(_, s)| s.flags == 1).map(|(gaussian, s)| SplatSeen {
+    let seen = splats.iter().enumerate().filter(|(_, s)| s.flags == 1).map(|(gaussian, s)| VisibleSplat {
         gaussian,
         mean: s.mean.map(f64::from),
         conic: s.conic.map(f64::from),
     });
     Ok(ParityResult {
-        physical: rgb(&canvas.images.physical)?,
-        radiance: rgb(&canvas.images.radiance)?,
+        physical: rgb(&parity_buffers.images.physical)?,
+        radiance: rgb(&parity_buffers.images.radiance)?,
         coverage: gpu.read(gbuffer, 0..pixels)?.iter().map(|p| f64::from(p[0])).collect(),
         gradients,
         splats: seen.collect(),

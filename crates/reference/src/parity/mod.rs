@@ -6,7 +6,7 @@ mod cpu;
 mod gpu;
 mod reference;
 
-pub use case::{LightShape, ParityCase, ParityResult, SplatSeen};
-pub use cpu::by_cpu;
-pub use gpu::by_gpu;
-pub use reference::{by_reference, steady_pixels};
+pub use case::{LightShape, ParityCase, ParityResult, VisibleSplat};
+pub use cpu::cpu_result;
+pub use gpu::gpu_result;
+pub use reference::{reference_result, stable_pixels};

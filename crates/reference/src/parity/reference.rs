@@ -1,6 +1,6 @@
 //! The f64 reference's result.
 
-use crate::parity::case::{ParityCase, ParityResult, SplatSeen};
+use crate::parity::case::{ParityCase, ParityResult, VisibleSplat};
 use crate::{Array, Gathered, Options, ReferenceModel, Stages, Tape, Var, forward};
 use relume_engine::cpu::BufferGradient;
 
@@ -27,7 +27,7 @@ fn weigh<'t>(values: Var<'t>, weights: Array) -> Var<'t> {
 }
 
 /// The result in f64. The model must have at least one Gaussian in front of the camera.
-pub fn by_reference(case: &ParityCase<'_>) -> ParityResult {
+pub fn reference_result(case: &ParityCase<'_>) -> ParityResult {
     let tape = Tape::new();
     let pass = forward(&tape, &ReferenceModel::from_model(case.model), case.camera, &options(case));
     let buffer =
@@ -51,21 +51,21 @@ pub fn by_reference(case: &ParityCase<'_>) -> ParityResult {
     }
 }
 
-fn splats(pass: &Stages<'_>) -> Vec<SplatSeen> {
+fn splats(pass: &Stages<'_>) -> Vec<VisibleSplat> {
     let (pixels, conics) = (pass.splats.pixels.value(), pass.splats.conics.value());
-    let seen = |(rank, gaussian): (usize, &usize)| SplatSeen {
+    let seen = |(rank, gaussian): (usize, &usize)| VisibleSplat {
         gaussian: *gaussian,
         mean: std::array::from_fn(|k| pixels.row(rank)[k]),
         conic: std::array::from_fn(|k| conics.row(rank)[k]),
     };
-    let mut out: Vec<SplatSeen> = pass.splats.indices.iter().enumerate().map(seen).collect();
+    let mut out: Vec<VisibleSplat> = pass.splats.indices.iter().enumerate().map(seen).collect();
     out.sort_by_key(|s| s.gaussian);
     out
 }
 
 /// Pixels in which no splat is within `margin` (relative) of a threshold of alpha (1/255 and 0.99): elsewhere f32 may
 /// fall on the other side, and one layer more or less is no matter of digits.
-pub fn steady_pixels(case: &ParityCase<'_>, margin: f64) -> Vec<bool> {
+pub fn stable_pixels(case: &ParityCase<'_>, margin: f64) -> Vec<bool> {
     let tape = Tape::new();
     let pass = forward(&tape, &ReferenceModel::from_model(case.model), case.camera, &options(case));
     let logits = case.model.gaussians.field(relume_scene::Field::OpacityLogit);

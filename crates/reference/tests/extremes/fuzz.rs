@@ -4,7 +4,7 @@
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use relume_engine::Device;
-use relume_reference::parity::{ParityCase, ParityResult, by_cpu};
+use relume_reference::parity::{ParityCase, ParityResult, cpu_result};
 use relume_scene::{Camera, Field, Model};
 
 use super::harness::{BACKGROUND, LIGHT, answer, in_front, looking_from, model, on_each_engine};
@@ -108,14 +108,14 @@ fn check(model: &Model, camera: &Camera, device: &Device) -> Result<(), TestCase
             let steady = |i: &usize| !is_on_a_threshold(model, camera, *i);
             answer.splats.iter().map(|s| s.gaussian).filter(steady).collect()
         };
-        prop_assert_eq!(drawn(&by_cpu(&question)), drawn(&found));
+        prop_assert_eq!(drawn(&cpu_result(&question)), drawn(&found));
         return Ok(());
     }
     // The same without the Gaussians that are not drawn.
     let kept: Vec<usize> = found.splats.iter().map(|s| s.gaussian).collect();
     let mut rest = model.clone();
     rest.gaussians = model.gaussians.gathered(&kept);
-    let without = by_cpu(&ParityCase::new(&rest, camera, BACKGROUND, &LIGHT, 5));
+    let without = cpu_result(&ParityCase::new(&rest, camera, BACKGROUND, &LIGHT, 5));
     prop_assert_eq!(found.physical, without.physical);
     Ok(())
 }

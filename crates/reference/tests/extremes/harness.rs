@@ -5,9 +5,9 @@ use std::sync::LazyLock;
 use glam::DVec3;
 use relume_compare::relative_error;
 use relume_engine::Device;
-pub(super) use relume_fixtures::model::{ENV, ORDER, model};
+pub(super) use relume_fixtures::model::{ENV, SH_DEGREE, model};
 use relume_reference::parity::{
-    LightShape, ParityCase, ParityResult, by_cpu, by_gpu, by_reference, steady_pixels,
+    LightShape, ParityCase, ParityResult, cpu_result, gpu_result, reference_result, stable_pixels,
 };
 use relume_scene::light::TableResolution;
 use relume_scene::{Camera, Field, Model};
@@ -18,10 +18,10 @@ pub(super) const TABLES: TableResolution = TableResolution { diffuse: 5, sharp: 
 const MARGIN: f64 = 2e-3;
 /// A parameter's gradient is measured against its largest entry, but at least against this share of the largest of all:
 /// where the true gradient is nothing, what is left of cancelled terms is no error.
-const LEAST_SHARE: f64 = 1e-5;
+const MIN_GRADIENT_SHARE: f64 = 1e-5;
 
 pub(super) static LIGHT: LazyLock<LightShape> =
-    LazyLock::new(|| LightShape::new(ENV.0, ENV.1, ORDER, TABLES));
+    LazyLock::new(|| LightShape::new(ENV.0, ENV.1, SH_DEGREE, TABLES));
 
 /// Sets every row of `field` in turn.
 pub(super) fn set<const W: usize>(model: &mut Model, field: Field, rows: &[[f32; W]]) {
@@ -89,7 +89,7 @@ pub(super) fn errors(found: &ParityResult, expected: &ParityResult, kept: &[bool
     for (name, theirs) in &expected.gradients {
         let own = most(name).max(1e-9);
         let error = relative_error(found.gradients[name].data(), theirs.data()) * own
-            / own.max(LEAST_SHARE * overall);
+            / own.max(MIN_GRADIENT_SHARE * overall);
         if !(error <= gradient) {
             (gradient, worst) = (error, *name);
         }
@@ -112,9 +112,9 @@ impl<'d> Suite<'d> {
     /// The engine against the reference.
     pub(super) fn check(&mut self, name: &str, model: &Model, camera: &Camera, bounds: Bounds) {
         let mut question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
-        let kept = steady_pixels(&question, MARGIN);
+        let kept = stable_pixels(&question, MARGIN);
         question.keep(&kept);
-        let expected = by_reference(&question);
+        let expected = reference_result(&question);
         if !expected.is_finite() {
             self.failures.push(format!("{name}: the reference itself is not finite"));
         }
@@ -136,7 +136,7 @@ impl<'d> Suite<'d> {
         let question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
         let found = self.finite(name, &question);
         if let Device::Gpu(_) = self.device {
-            let cpu = by_cpu(&question);
+            let cpu = cpu_result(&question);
             let drawn = |a: &ParityResult| a.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>();
             if drawn(&found) != drawn(&cpu) {
                 self.failures.push(format!("{name}: draws other Gaussians than the CPU engine"));
@@ -172,8 +172,8 @@ impl Drop for Suite<'_> {
 
 pub(super) fn answer(device: &Device, question: &ParityCase<'_>) -> ParityResult {
     match device {
-        Device::Cpu => by_cpu(question),
-        Device::Gpu(gpu) => by_gpu(gpu, question).unwrap(),
+        Device::Cpu => cpu_result(question),
+        Device::Gpu(gpu) => gpu_result(gpu, question).unwrap(),
     }
 }
 
@@ -182,13 +182,13 @@ fn harness_detects_a_changed_image_a_changed_gradient_and_nan() {
     let (plain, camera) = (model(8, 1), in_front((16, 12)));
     let question = ParityCase::new(&plain, &camera, BACKGROUND, &LIGHT, 7);
     let kept = vec![true; 192];
-    let expected = by_reference(&question);
+    let expected = reference_result(&question);
     let mut other = plain.clone();
     other.gaussians.field_mut(Field::RoughLogit)[2] += 0.2;
-    let found = by_cpu(&ParityCase::new(&other, &camera, BACKGROUND, &LIGHT, 7));
+    let found = cpu_result(&ParityCase::new(&other, &camera, BACKGROUND, &LIGHT, 7));
     let e = errors(&found, &expected, &kept);
     assert!(e.image > TIGHT.image && e.gradient > TIGHT.gradient, "{:e} {:e}", e.image, e.gradient);
-    let mut poisoned = by_cpu(&question);
+    let mut poisoned = cpu_result(&question);
     poisoned.radiance[3][1] = f64::NAN;
     assert!(!poisoned.is_finite());
     assert_eq!(errors(&poisoned, &expected, &kept).image, f64::INFINITY);

@@ -83,7 +83,7 @@ fn learned_environments_from_black_to_1e18_match(device: &Device) {
     suite.finish();
 }
 
-fn lit_by(texel: f32) -> EnvMap {
+fn measured_light(texel: f32) -> EnvMap {
     let mut texels = vec![[0.0f32; 3]; ENV.0 * ENV.1];
     texels[11] = [texel; 3];
     EnvMap::new(ENV.0, ENV.1, texels).unwrap().0
@@ -96,12 +96,12 @@ fn frames_are_linear_in_the_light(device: &Device) {
         let frame = renderer.render(&in_front((16, 12)), &light, Tier::Standard, &[Output::Rgb]).unwrap();
         frame.planes[&Output::Rgb].clone()
     };
-    assert!(rgb(&lit_by(0.0)).iter().all(|v| *v == 0.0), "no light, no picture: {}", device.name());
-    let one = rgb(&lit_by(1.0));
+    assert!(rgb(&measured_light(0.0)).iter().all(|v| *v == 0.0), "no light, no picture: {}", device.name());
+    let one = rgb(&measured_light(1.0));
     let most = one.iter().fold(0.0f32, |m, v| m.max(*v));
     assert!(most > 1e-3, "the control: light makes a picture");
     for gain in [6e4f32, 1e30] {
-        let scaled: Vec<f32> = rgb(&lit_by(gain)).iter().map(|v| v / gain).collect();
+        let scaled: Vec<f32> = rgb(&measured_light(gain)).iter().map(|v| v / gain).collect();
         let error = largest_difference(&scaled, &one) / f64::from(most);
         assert!(error < 1e-5, "{} {gain:e}: {error:e}", device.name());
     }

@@ -21,7 +21,7 @@ on_each_engine! {
 
 const LAYERS: usize = 10_000;
 /// What early stop may miss, and the last digit of a coverage of 1.
-const MOST_MISSED: f32 = TRANSMITTANCE_STOP + f32::EPSILON;
+const MAX_MISSED: f32 = TRANSMITTANCE_STOP + f32::EPSILON;
 
 /// Ten thousand sheets behind each other over a single pixel.
 fn layered(logit: f32) -> (Model, Camera) {
@@ -108,7 +108,7 @@ fn early_stop_error_is_at_most_the_documented_limit(device: &Device) {
         let [whole, stopped] =
             [EarlyStop::Never, EarlyStop::WhenSaturated].map(|stop| coverage(device, &model, &camera, stop));
         let missed = whole - stopped;
-        assert!((0.0..=MOST_MISSED).contains(&missed), "{logit}: {missed:e}");
+        assert!((0.0..=MAX_MISSED).contains(&missed), "{logit}: {missed:e}");
         assert!(missed > 0.0 || logit > 0.0, "the control: something is missed at {logit}");
     }
 }

@@ -87,11 +87,11 @@ fn harmonics_are_orthonormal_and_match_the_light_module() {
 fn full_visibility_gives_ambient_occlusion_of_one() {
     let tape = Tape::new();
     let normals = tape.input(fibonacci_sphere(50));
-    for order in [0, 2, 4, 6] {
-        let mut open = Array::zeros(&[1, (order + 1) * (order + 1)]);
+    for sh_degree in [0, 2, 4, 6] {
+        let mut open = Array::zeros(&[1, (sh_degree + 1) * (sh_degree + 1)]);
         open.data_mut()[0] = 2.0 * PI.sqrt();
-        let ao = normal_related_sh(normals, order).dot(tape.input(open)).value();
-        assert!(ao.data().iter().all(|a| (a - 1.0).abs() < 1e-14), "order {order}");
+        let ao = normal_related_sh(normals, sh_degree).dot(tape.input(open)).value();
+        assert!(ao.data().iter().all(|a| (a - 1.0).abs() < 1e-14), "order {sh_degree}");
     }
     let frame = render(
         &ReferenceModel::new(ball(300, 0.0, 0.0)).unwrap(),

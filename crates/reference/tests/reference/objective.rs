@@ -3,7 +3,7 @@
 use glam::DVec3;
 use relume_compare::relative_error;
 use relume_engine::{
-    Branches, ImageWeights, LightTurn, LightWeights, ParameterWeights, Photo, PhotoId, PhotoSize, Step,
+    Branches, ImageWeights, LightRotation, LightWeights, ParameterWeights, Photo, PhotoId, PhotoSize, Step,
     StepCounts, StepSizes, StepWeights, SurfaceWeights, TrainState, cpu,
 };
 use relume_reference::{
@@ -72,7 +72,7 @@ fn photograph(camera: &Camera, seed: u64) -> (Photo, Vec<f32>) {
     )
 }
 
-fn by_reference(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
+fn reference_result(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
     let tape = Tape::new();
     let tables = TableOperators::new(32, 16, TableResolution::TRAINING);
     let options = Options { background: BACKGROUND.map(f64::from), ..Options::model(model.shading, tables) };
@@ -95,7 +95,7 @@ fn by_reference(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
     (total.value().data()[0], pass.parameters.gradients(&tape.gradients(total)))
 }
 
-fn outcome(model: &Model, photo: &Photo, probes: &[f32]) -> cpu::Outcome {
+fn outcome(model: &Model, photo: &Photo, probes: &[f32]) -> cpu::ObjectiveResult {
     let operators = EnvOperators::new(32, 16, 4, TableResolution::TRAINING);
     let state = TrainState { labels: probes.to_vec(), ..TrainState::new(model.clone()) };
     let image = |l1, ssim| ImageWeights { l1: weight(l1), ssim: weight(ssim) };
@@ -143,7 +143,7 @@ fn by_trainer(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
 fn trainer_objective_and_gradient_match_the_reference() {
     let (wall, camera_of_wall) = (wall(), facing_the_wall());
     let (photo, probes) = photograph(&camera_of_wall, 3);
-    let (value, reference) = by_reference(&wall, &photo, &probes);
+    let (value, reference) = reference_result(&wall, &photo, &probes);
     let (ours, gradients) = by_trainer(&wall, &photo, &probes);
     assert!((ours / value - 1.0).abs() < 1e-5, "{ours} {value}");
     for (parameter, theirs) in &reference {
@@ -163,13 +163,13 @@ fn rotated_photograph_light_equals_a_rotated_environment() {
     let (photo, probes) = photograph(&facing_the_wall(), 3);
     let columns = 5;
     let radians = std::f64::consts::TAU * columns as f64 / 32.0;
-    let turned = Photo { light: LightTurn { radians, block: 0 }, ..photo.clone() };
+    let turned = Photo { light: LightRotation { radians, block: 0 }, ..photo.clone() };
     let found = outcome(&wall, &turned, &probes);
     let mut rolled = wall.clone();
     rolled.env_raw.chunks_exact_mut(32).for_each(|row| row.rotate_left(columns));
     let mut expected = outcome(&rolled, &photo, &probes);
     expected.gradients.env_raw.chunks_exact_mut(32).for_each(|row| row.rotate_right(columns));
-    let by_light = |found: &cpu::Outcome, expected: &cpu::Outcome| {
+    let by_light = |found: &cpu::ObjectiveResult, expected: &cpu::ObjectiveResult| {
         let [found, expected] = [found, expected].map(|o| o.gradients.env_raw.as_flattened());
         relative_error(found, expected)
     };
@@ -186,7 +186,7 @@ fn rotated_photograph_light_equals_a_rotated_environment() {
 fn gradient_under_fractional_column_rotation_is_correct() {
     let wall = wall();
     let (photo, probes) = photograph(&facing_the_wall(), 3);
-    let photo = Photo { light: LightTurn { radians: 2.1, block: 0 }, ..photo };
+    let photo = Photo { light: LightRotation { radians: 2.1, block: 0 }, ..photo };
     let found = outcome(&wall, &photo, &probes).gradients.env_raw;
     // Along the gradient itself, so that the difference stands out from rounding.
     let length = found.as_flattened().iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
@@ -199,7 +199,7 @@ fn gradient_under_fractional_column_rotation_is_correct() {
     };
     let slope = (at(0.5) - at(-0.5)) / 1.0;
     assert!((slope / length - 1.0).abs() < 0.05, "{slope} {length}");
-    let still = outcome(&wall, &Photo { light: LightTurn::default(), ..photo.clone() }, &probes);
+    let still = outcome(&wall, &Photo { light: LightRotation::default(), ..photo.clone() }, &probes);
     let along = still.gradients.env_raw.as_flattened().iter().zip(found.as_flattened());
     let wrong = along.map(|(a, b)| f64::from(a * b)).sum::<f64>() / length;
     assert!(

@@ -6,7 +6,7 @@ use glam::DVec3;
 use relume_compare::{largest_difference, relative_error, worst};
 use relume_engine::cpu::{self, AttributeSource};
 use relume_engine::{Gradients, ProbeSettings, fibonacci_sphere};
-use relume_reference::parity::{LightShape, ParityCase, ParityResult, by_cpu, by_reference};
+use relume_reference::parity::{LightShape, ParityCase, ParityResult, cpu_result, reference_result};
 use relume_reference::{Array, Arrays, ENVIRONMENT, PROTOTYPES, Probes, ReferenceModel};
 use relume_scene::light::TableResolution;
 use relume_scene::{
@@ -94,7 +94,7 @@ fn answers(model: &Model, seed: u64) -> [ParityResult; 2] {
     let (camera, gathered) = (camera(seed), gathered_light(seed));
     let question =
         ParityCase { gathered: &gathered, ..ParityCase::new(model, &camera, BACKGROUND, &LIGHT, seed) };
-    [by_cpu(&question), by_reference(&question)]
+    [cpu_result(&question), reference_result(&question)]
 }
 
 /// Three lights, one at its texels' centre and as wide as they are, one a point, one that is seen from below only.
@@ -126,7 +126,7 @@ fn answers_with_lights(model: &Model, seed: u64, split: &LightSplit) -> [ParityR
         arriving: &arriving,
         ..ParityCase::new(model, &camera, BACKGROUND, &light, seed)
     };
-    [by_cpu(&question), by_reference(&question)]
+    [cpu_result(&question), reference_result(&question)]
 }
 
 #[test]

@@ -8,17 +8,17 @@ use glam::DVec3;
 use crate::{EnvMap, texel_directions};
 
 /// Most rows a map is split at; larger ones are reduced first, which keeps their power.
-const MOST_ROWS: usize = 512;
+const MAX_ROWS: usize = 512;
 /// Least rows: a texel of a smaller map is no small light.
-const LEAST_ROWS: usize = 32;
+const MIN_ROWS: usize = 32;
 /// Angular radius a light is taken out of, radians.
 const RADIUS: f64 = 4.0 * PI / 180.0;
 /// A light's disc is this many times brighter than the ring around it, on average.
 const CONTRAST: f64 = 4.0;
 /// And its excess over the ring is this share of all power.
-const LEAST_SHARE: f64 = 0.01;
+const MIN_POWER_SHARE: f64 = 0.01;
 /// Bright spots that may turn out to be no lights before the search ends.
-const MOST_REFUSED: usize = 8;
+const MAX_REJECTED_SPOTS: usize = 8;
 
 /// A light far away and small.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,16 +44,16 @@ impl SplitEnvironment {
     /// Takes at most `most` lights out of `map`: spots within a few degrees that stand well above what surrounds them and
     /// hold a hundredth of the power or more. Maps below 32 rows stay whole.
     pub fn new(map: &EnvMap, most: usize) -> Self {
-        let map = match map.height() > MOST_ROWS {
-            true => map.resampled((map.width() * MOST_ROWS / map.height()).max(1), MOST_ROWS),
+        let map = match map.height() > MAX_ROWS {
+            true => map.resampled((map.width() * MAX_ROWS / map.height()).max(1), MAX_ROWS),
             false => map.clone(),
         };
-        if map.height() < LEAST_ROWS {
+        if map.height() < MIN_ROWS {
             return Self { lights: Vec::new(), rest: map };
         }
-        let mut search = Search::new(&map);
+        let mut search = LightExtraction::new(&map);
         let (mut lights, mut refused) = (Vec::new(), 0);
-        while lights.len() < most && refused < MOST_REFUSED {
+        while lights.len() < most && refused < MAX_REJECTED_SPOTS {
             let Some(brightest) = search.brightest() else { break };
             match search.take(brightest) {
                 Some(light) => lights.push(light),
@@ -65,7 +65,7 @@ impl SplitEnvironment {
 }
 
 /// The map while lights are taken out of it.
-struct Search {
+struct LightExtraction {
     width: usize,
     height: usize,
     directions: Vec<(DVec3, f64)>,
@@ -81,7 +81,7 @@ fn brightness(texel: [f32; 3]) -> f64 {
     texel.iter().map(|v| f64::from(*v)).sum::<f64>() / 3.0
 }
 
-impl Search {
+impl LightExtraction {
     fn new(map: &EnvMap) -> Self {
         let directions = texel_directions(map.width(), map.height());
         let power = directions.iter().zip(map.texels()).map(|((_, w), t)| w * brightness(*t)).sum();
@@ -138,7 +138,7 @@ impl Search {
         }
         let sum: f64 = light.iter().sum();
         let stands_out = sum / 3.0 >= (CONTRAST - 1.0) * brightness(level) * disc_area;
-        if !(sum / 3.0 >= LEAST_SHARE * self.power && sum > 0.0 && stands_out) {
+        if !(sum / 3.0 >= MIN_POWER_SHARE * self.power && sum > 0.0 && stands_out) {
             return None;
         }
         let direction = moment.normalize_or(towards);

@@ -5,21 +5,21 @@ use std::f64::consts::PI;
 use num_traits::Float;
 
 use crate::light::brdf::ggx_d;
-use relume_layout::light::{LOBE_ORDERS, LOBE_ROUGHNESSES};
+use relume_layout::light::{LOBE_DEGREES, LOBE_ROUGHNESSES};
 
 /// Zonal attenuation `h_l(roughness)`, with `h_0 = 1`, of the prefilter lobe around the reflection.
 #[derive(Debug, Clone)]
 pub struct LobeAttenuation {
-    rows: [[f32; LOBE_ORDERS]; LOBE_ROUGHNESSES],
+    rows: [[f32; LOBE_DEGREES]; LOBE_ROUGHNESSES],
 }
 
 /// `h_l` and its derivative by roughness.
 #[derive(Debug, Clone, Copy)]
 pub struct LobeSample<T> {
     /// `h_l`, l = 0..=8.
-    pub value: [T; LOBE_ORDERS],
+    pub value: [T; LOBE_DEGREES],
     /// `d h_l / d roughness`.
-    pub by_roughness: [T; LOBE_ORDERS],
+    pub by_roughness: [T; LOBE_DEGREES],
 }
 
 impl LobeAttenuation {
@@ -33,7 +33,7 @@ impl LobeAttenuation {
     }
 
     /// `h_l` at equally spaced roughnesses from 0 to 1.
-    pub fn rows(&self) -> &[[f32; LOBE_ORDERS]] {
+    pub fn rows(&self) -> &[[f32; LOBE_DEGREES]] {
         &self.rows
     }
 
@@ -55,9 +55,9 @@ impl LobeAttenuation {
 }
 
 /// `h_l = int K P_l / int K` over the half sphere around R, `K = D(cos(theta / 2)) cos(theta)`.
-fn attenuation(roughness: f64) -> [f64; LOBE_ORDERS] {
+fn attenuation(roughness: f64) -> [f64; LOBE_DEGREES] {
     let alpha = (roughness * roughness).max(1e-3);
-    let mut sums = [0.0; LOBE_ORDERS];
+    let mut sums = [0.0; LOBE_DEGREES];
     // Substituting theta = (pi/2) t^4 puts the steps where a sharp lobe is.
     const STEPS: usize = 4000;
     for i in 0..STEPS {
@@ -87,7 +87,7 @@ mod tests {
         let table = LobeAttenuation::shared();
         let mirror = table.sample(0.0f64).value;
         assert!(mirror.iter().all(|h| *h > 0.97), "{mirror:?}");
-        for l in 1..LOBE_ORDERS {
+        for l in 1..LOBE_DEGREES {
             let h = |r: f64| table.sample(r).value[l];
             assert!(h(0.2) > h(0.5) && h(0.5) > h(0.9), "degree {l}");
         }

@@ -29,10 +29,10 @@ pub use prefilter::rendering_tables;
 pub use reflectance::reflectance_tables;
 pub use reflector::{Reflected, Reflector};
 pub use relume_layout::light::{
-    CLAMPED_COSINE, DIELECTRIC_F0, FULLY_OPEN, LOBE_ORDERS, LUMINANCE, MOST_SHEEN, SPECULAR_LEVELS,
+    CLAMPED_COSINE, DIELECTRIC_F0, LOBE_DEGREES, LUMINANCE, MAX_SHEEN, SPECULAR_LEVELS, UNOCCLUDED_SH0,
     UPWARD_LUMINANCE, nrsh_factor,
 };
-pub use sampler::{EnvSampler, SamplerTables, Shares, estimate};
+pub use sampler::{EnvSampler, SampleCounts, SamplerTables, estimate};
 pub use sh::{nrsh, sh_eval, sh_eval_with_gradient};
 pub use sheen::Sheen;
 pub use split_tables::{split_tables, tables_of_split};

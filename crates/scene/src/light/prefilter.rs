@@ -21,8 +21,8 @@ const SPECULAR_NODES: [usize; SPECULAR_LEVELS.len()] = [65, 33, 33, 17, 17, 17];
 /// Lobe samples a node.
 const SAMPLES: u32 = 192;
 
-/// The tables of `map` for visibility fields of degree `order`.
-pub fn rendering_tables(map: &EnvMap, order: usize) -> LightTables {
+/// The tables of `map` for visibility fields of degree `sh_degree`.
+pub fn rendering_tables(map: &EnvMap, sh_degree: usize) -> LightTables {
     let diffuse_grid = CubeGrid::new(DIFFUSE_NODES);
     let pyramid = Pyramid::new(map);
     let specular_grids = SPECULAR_NODES.map(CubeGrid::new);
@@ -33,8 +33,8 @@ pub fn rendering_tables(map: &EnvMap, order: usize) -> LightTables {
     });
     LightTables {
         diffuse_grid,
-        coefficients: padded(sh_count(order)),
-        diffuse: diffuse_transfer(&diffuse_grid, map, order),
+        coefficients: padded(sh_count(sh_degree)),
+        diffuse: diffuse_transfer(&diffuse_grid, map, sh_degree),
         specular_grids,
         specular,
         lights: Vec::new(),
@@ -42,7 +42,7 @@ pub fn rendering_tables(map: &EnvMap, order: usize) -> LightTables {
 }
 
 /// `T_j(n) = int Y_j L (n . w)+ dw` at each node.
-fn diffuse_transfer(grid: &CubeGrid, map: &EnvMap, order: usize) -> Vec<f32> {
+fn diffuse_transfer(grid: &CubeGrid, map: &EnvMap, sh_degree: usize) -> Vec<f32> {
     let small;
     let map = if map.height() > DIFFUSE_ROWS {
         small = map.resampled(2 * DIFFUSE_ROWS, DIFFUSE_ROWS);
@@ -50,14 +50,14 @@ fn diffuse_transfer(grid: &CubeGrid, map: &EnvMap, order: usize) -> Vec<f32> {
     } else {
         map
     };
-    let n = padded(sh_count(order));
+    let n = padded(sh_count(sh_degree));
     let directions = texel_directions(map.width(), map.height());
     let products: Vec<f32> = directions
         .iter()
         .zip(map.texels())
         .flat_map(|((d, w), l)| {
             let mut y = vec![0.0f32; n];
-            sh_eval(order, d.to_array().map(|v| v as f32), &mut y);
+            sh_eval(sh_degree, d.to_array().map(|v| v as f32), &mut y);
             let weight = *w as f32;
             let l = *l;
             (0..3).flat_map(move |c| y.clone().into_iter().map(move |y| y * l[c] * weight))

@@ -117,7 +117,7 @@ fn pick(sums: &[f64], u: f64) -> (usize, f64) {
 /// How many directions each way of drawing gets. The estimate's mean does not depend on it as long as the lobe, whose
 /// directions reach every part of the half sphere, gets one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Shares {
+pub struct SampleCounts {
     /// Drawn by the environment's brightness.
     pub light: u32,
     /// Drawn by the cosine.
@@ -126,7 +126,7 @@ pub struct Shares {
     pub lobe: u32,
 }
 
-impl Shares {
+impl SampleCounts {
     /// Half of `samples` by the light, a quarter each by cosine and lobe; what the dark would get goes to the cosine.
     pub fn of(samples: u32, light: &EnvSampler) -> Self {
         let lobe = samples.div_ceil(4);
@@ -141,12 +141,12 @@ pub fn estimate(
     surface: &Reflector,
     environment: &EnvSampler,
     blocked: [f64; 3],
-    shares: Shares,
+    shares: SampleCounts,
     random: &mut impl Rng,
     mut transmittance: impl FnMut(DVec3) -> f64,
 ) -> Reflected {
     let mut sum = Reflected::default();
-    let Shares { light, cosine, lobe } = shares;
+    let SampleCounts { light, cosine, lobe } = shares;
     for i in 0..light + cosine + lobe {
         // Both numbers are drawn whatever becomes of the direction: samples keep their places in the stream.
         let u = [random.random(), random.random()];
@@ -200,7 +200,7 @@ mod tests {
     }
 
     /// Mean and standard error of the luminance over independent estimates.
-    fn mean(shares: Shares, of: impl Fn(&Reflected) -> f64) -> (f64, f64) {
+    fn mean(shares: SampleCounts, of: impl Fn(&Reflected) -> f64) -> (f64, f64) {
         let (light, r, n) = (EnvSampler::new(lamp()), surface(), 3000);
         let mut random = ChaCha8Rng::seed_from_u64(7);
         let values: Vec<f64> =
@@ -228,7 +228,7 @@ mod tests {
     fn estimate_is_unbiased_for_every_sampling_mixture() {
         let want = exact();
         for (light, cosine, lobe) in [(8, 4, 4), (0, 0, 16), (0, 12, 4), (14, 0, 2)] {
-            let shares = Shares { light, cosine, lobe };
+            let shares = SampleCounts { light, cosine, lobe };
             for (part, want) in [
                 ((|r: &Reflected| r.diffuse[0]) as fn(&Reflected) -> f64, want.diffuse[0]),
                 (|r: &Reflected| r.specular[1], want.specular[1]),
@@ -241,7 +241,7 @@ mod tests {
         // The control: without the curtain the integral is another one, well beyond those errors.
         let (light, r) = (EnvSampler::new(lamp()), surface());
         let mut random = ChaCha8Rng::seed_from_u64(7);
-        let open = estimate(&r, &light, [0.3; 3], Shares::of(60_000, &light), &mut random, |_| 1.0);
+        let open = estimate(&r, &light, [0.3; 3], SampleCounts::of(60_000, &light), &mut random, |_| 1.0);
         assert!(open.diffuse[0] > 1.5 * want.diffuse[0]);
     }
 
@@ -263,12 +263,12 @@ mod tests {
     #[test]
     fn dark_environments_and_single_samples_give_finite_results() {
         let dark = EnvSampler::new(EnvMap::constant(8, 4, [0.0; 3]));
-        assert_eq!(Shares::of(8, &dark).light, 0);
+        assert_eq!(SampleCounts::of(8, &dark).light, 0);
         let mut random = ChaCha8Rng::seed_from_u64(3);
-        let nothing = estimate(&surface(), &dark, [0.0; 3], Shares::of(8, &dark), &mut random, |_| 1.0);
+        let nothing = estimate(&surface(), &dark, [0.0; 3], SampleCounts::of(8, &dark), &mut random, |_| 1.0);
         assert_eq!(nothing, Reflected::default());
         let bright = EnvSampler::new(EnvMap::constant(8, 4, [1e30; 3]));
-        let one = estimate(&surface(), &bright, [0.0; 3], Shares::of(1, &bright), &mut random, |_| 1.0);
+        let one = estimate(&surface(), &bright, [0.0; 3], SampleCounts::of(1, &bright), &mut random, |_| 1.0);
         assert!(one.diffuse.iter().chain(&one.specular).all(|v| v.is_finite()));
     }
 }

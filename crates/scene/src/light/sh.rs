@@ -9,14 +9,14 @@ use num_traits::Float;
 use relume_layout::light::{nrsh_factor, sh_normalisation};
 
 /// Highest order any table in the crate is built for.
-pub const MAX_ORDER: usize = 8;
-const ROWS: usize = MAX_ORDER + 2;
+pub const MAX_SH_DEGREE: usize = 8;
+const ROWS: usize = MAX_SH_DEGREE + 2;
 
-/// `K_lm` at index `l*l + l + m` for every m >= 0, to [`MAX_ORDER`].
+/// `K_lm` at index `l*l + l + m` for every m >= 0, to [`MAX_SH_DEGREE`].
 fn normalisations() -> &'static [f64; 81] {
     static TABLE: std::sync::LazyLock<[f64; 81]> = std::sync::LazyLock::new(|| {
         let mut table = [0.0; 81];
-        for l in 0..=MAX_ORDER {
+        for l in 0..=MAX_SH_DEGREE {
             (0..=l).for_each(|m| table[l * l + l + m] = sh_normalisation(l, m));
         }
         table
@@ -31,15 +31,15 @@ fn cast<T: Float>(v: f64) -> T {
 
 /// `Q[m][l]` for m, l <= order + 1.
 #[inline(always)]
-fn legendre<T: Float>(z: T, order: usize) -> [[T; ROWS]; ROWS] {
+fn legendre<T: Float>(z: T, sh_degree: usize) -> [[T; ROWS]; ROWS] {
     let mut q = [[T::zero(); ROWS]; ROWS];
     let mut diagonal = T::one();
-    for m in 0..=order {
+    for m in 0..=sh_degree {
         q[m][m] = diagonal;
-        if m < order {
+        if m < sh_degree {
             q[m][m + 1] = z * cast((2 * m + 1) as f64) * diagonal;
         }
-        for l in m + 2..=order {
+        for l in m + 2..=sh_degree {
             let a = z * cast((2 * l - 1) as f64) * q[m][l - 1];
             q[m][l] = (a - cast::<T>((l + m - 1) as f64) * q[m][l - 2]) / cast((l - m) as f64);
         }
@@ -50,10 +50,10 @@ fn legendre<T: Float>(z: T, order: usize) -> [[T; ROWS]; ROWS] {
 
 /// `A_m, B_m` for m <= order.
 #[inline(always)]
-fn azimuth<T: Float>(x: T, y: T, order: usize) -> ([T; ROWS], [T; ROWS]) {
+fn azimuth<T: Float>(x: T, y: T, sh_degree: usize) -> ([T; ROWS], [T; ROWS]) {
     let (mut a, mut b) = ([T::zero(); ROWS], [T::zero(); ROWS]);
     a[0] = T::one();
-    for m in 1..=order {
+    for m in 1..=sh_degree {
         a[m] = x * a[m - 1] - y * b[m - 1];
         b[m] = x * b[m - 1] + y * a[m - 1];
     }
@@ -61,9 +61,9 @@ fn azimuth<T: Float>(x: T, y: T, order: usize) -> ([T; ROWS], [T; ROWS]) {
 }
 
 /// Calls a function that is compiled once per order: with the bounds of its loops known it is a few straight lines.
-macro_rules! at_order {
-    ($order:expr, $function:ident, $($argument:expr),*) => {
-        match $order {
+macro_rules! at_degree {
+    ($sh_degree:expr, $function:ident, $($argument:expr),*) => {
+        match $sh_degree {
             0 => $function::<T, 0>($($argument),*),
             1 => $function::<T, 1>($($argument),*),
             2 => $function::<T, 2>($($argument),*),
@@ -72,22 +72,22 @@ macro_rules! at_order {
             5 => $function::<T, 5>($($argument),*),
             6 => $function::<T, 6>($($argument),*),
             7 => $function::<T, 7>($($argument),*),
-            _ => $function::<T, MAX_ORDER>($($argument),*),
+            _ => $function::<T, MAX_SH_DEGREE>($($argument),*),
         }
     };
 }
 
-/// Values of all harmonics up to `order` (at most 8) along unit direction `d`.
+/// Values of all harmonics up to `sh_degree` (at most 8) along unit direction `d`.
 ///
-/// `out` receives `(order + 1)^2` values; what lies beyond is left alone.
-pub fn sh_eval<T: Float>(order: usize, d: [T; 3], out: &mut [T]) {
-    at_order!(order, values, d, out);
+/// `out` receives `(sh_degree + 1)^2` values; what lies beyond is left alone.
+pub fn sh_eval<T: Float>(sh_degree: usize, d: [T; 3], out: &mut [T]) {
+    at_degree!(sh_degree, values, d, out);
 }
 
-fn values<T: Float, const ORDER: usize>(d: [T; 3], out: &mut [T]) {
-    let (q, (a, b)) = (legendre(d[2], ORDER), azimuth(d[0], d[1], ORDER));
+fn values<T: Float, const SH_DEGREE: usize>(d: [T; 3], out: &mut [T]) {
+    let (q, (a, b)) = (legendre(d[2], SH_DEGREE), azimuth(d[0], d[1], SH_DEGREE));
     let k = normalisations();
-    for l in 0..=ORDER {
+    for l in 0..=SH_DEGREE {
         let centre = l * l + l;
         out[centre] = cast::<T>(k[centre]) * q[0][l];
         for m in 1..=l {
@@ -102,14 +102,14 @@ fn values<T: Float, const ORDER: usize>(d: [T; 3], out: &mut [T]) {
 ///
 /// The radial part of the gradient is that of the polynomial, not zero: callers that normalise `d`
 /// must project it out, as the chain rule through a normalisation does.
-pub fn sh_eval_with_gradient<T: Float>(order: usize, d: [T; 3], out: &mut [T], gradient: &mut [[T; 3]]) {
-    at_order!(order, values_with_gradient, d, out, gradient);
+pub fn sh_eval_with_gradient<T: Float>(sh_degree: usize, d: [T; 3], out: &mut [T], gradient: &mut [[T; 3]]) {
+    at_degree!(sh_degree, values_with_gradient, d, out, gradient);
 }
 
-fn values_with_gradient<T: Float, const ORDER: usize>(d: [T; 3], out: &mut [T], gradient: &mut [[T; 3]]) {
-    let (q, (a, b)) = (legendre(d[2], ORDER), azimuth(d[0], d[1], ORDER));
+fn values_with_gradient<T: Float, const SH_DEGREE: usize>(d: [T; 3], out: &mut [T], gradient: &mut [[T; 3]]) {
+    let (q, (a, b)) = (legendre(d[2], SH_DEGREE), azimuth(d[0], d[1], SH_DEGREE));
     let k = normalisations();
-    for l in 0..=ORDER {
+    for l in 0..=SH_DEGREE {
         let centre = l * l + l;
         for m in 0..=l {
             let norm = cast::<T>(k[centre + m]);
@@ -129,9 +129,9 @@ fn values_with_gradient<T: Float, const ORDER: usize>(d: [T; 3], out: &mut [T], 
 }
 
 /// Normal-related SH (article Eq. 17, with the 1/pi of Eq. 16): `AO = <c, nrsh(n)>`.
-pub fn nrsh<T: Float>(order: usize, normal: [T; 3], out: &mut [T]) {
-    sh_eval(order, normal, out);
-    for l in 0..=order {
+pub fn nrsh<T: Float>(sh_degree: usize, normal: [T; 3], out: &mut [T]) {
+    sh_eval(sh_degree, normal, out);
+    for l in 0..=sh_degree {
         let factor = cast::<T>(nrsh_factor(l));
         out[l * l..(l + 1) * (l + 1)].iter_mut().for_each(|v| *v = *v * factor);
     }

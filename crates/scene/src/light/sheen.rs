@@ -3,7 +3,7 @@
 //!
 //! Light's own angle of incidence, which a microfibre model has as well, is left out: under a whole sky it is averaged.
 
-use crate::light::MOST_SHEEN;
+use crate::light::MAX_SHEEN;
 
 /// Gain of the diffuse term with its derivatives.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,7 +19,7 @@ pub struct Sheen {
 impl Sheen {
     /// The gain of `sheen` seen at the cosine `nov`, 0 to 1.
     pub fn new(sheen: f32, nov: f32) -> Self {
-        let (away, held) = (1.0 - nov, sheen.clamp(-MOST_SHEEN, MOST_SHEEN));
+        let (away, held) = (1.0 - nov, sheen.clamp(-MAX_SHEEN, MAX_SHEEN));
         let cube = away * away * away;
         let gain = (held * cube).exp();
         Self {
@@ -49,7 +49,7 @@ mod tests {
     #[test]
     fn sheen_gain_is_bounded() {
         let wild = Sheen::new(1e30, 0.0);
-        assert_eq!((wild.gain, wild.by_sheen), (MOST_SHEEN.exp(), 0.0));
+        assert_eq!((wild.gain, wild.by_sheen), (MAX_SHEEN.exp(), 0.0));
         assert!(Sheen::new(-1e30, 0.0).gain > 0.04 && Sheen::new(1e30, 1.0).gain == 1.0);
     }
 }

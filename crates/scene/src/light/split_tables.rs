@@ -3,24 +3,24 @@
 use crate::light::{DominantLight, LightTables, SplitEnvironment, TableLight, rendering_tables};
 use crate::{EnvMap, LightSplit, MAX_LIGHTS, SplitLight, texel_directions};
 
-/// The tables of `map` for visibility fields of degree `order`, at most [`MAX_LIGHTS`] strong small lights beside them.
+/// The tables of `map` for visibility fields of degree `sh_degree`, at most [`MAX_LIGHTS`] strong small lights beside them.
 /// Together they have the power of the map.
-pub fn split_tables(map: &EnvMap, order: usize) -> LightTables {
+pub fn split_tables(map: &EnvMap, sh_degree: usize) -> LightTables {
     let split = SplitEnvironment::new(map, MAX_LIGHTS);
     if split.lights.is_empty() {
-        return rendering_tables(map, order);
+        return rendering_tables(map, sh_degree);
     }
     let lights = split.lights.iter().map(TableLight::from).collect();
-    LightTables { lights, ..rendering_tables(&split.rest, order) }
+    LightTables { lights, ..rendering_tables(&split.rest, sh_degree) }
 }
 
 /// The same, of a map whose split is known; it must fit the map's texels.
-pub fn tables_of_split(map: &EnvMap, split: &LightSplit, order: usize) -> LightTables {
+pub fn tables_of_split(map: &EnvMap, split: &LightSplit, sh_degree: usize) -> LightTables {
     let texels = map.texels().iter().enumerate();
     let rest = texels.map(|(t, l)| l.map(|v| v * split.rest(t))).collect();
     let Ok((rest, _)) = EnvMap::new(map.width(), map.height(), rest) else {
         // Unreachable: texels of a checked map only got smaller.
-        return rendering_tables(map, order);
+        return rendering_tables(map, sh_degree);
     };
     let mut lights: Vec<TableLight> = split
         .lights
@@ -33,7 +33,7 @@ pub fn tables_of_split(map: &EnvMap, split: &LightSplit, order: usize) -> LightT
             (0..3).for_each(|c| light.irradiance[c] += share * w as f32 * l[c]);
         }
     }
-    LightTables { lights, ..rendering_tables(&rest, order) }
+    LightTables { lights, ..rendering_tables(&rest, sh_degree) }
 }
 
 impl From<&DominantLight> for SplitLight {

@@ -43,7 +43,7 @@ impl Tier {
 pub struct Quality {
     /// The tier.
     pub tier: Tier,
-    /// Sampled directions per pixel in [`Tier::MonteCarlo`], 1 to [`Quality::MOST_SAMPLES`]. Other tiers
+    /// Sampled directions per pixel in [`Tier::MonteCarlo`], 1 to [`Quality::MAX_SAMPLES`]. Other tiers
     /// ignore it.
     pub samples: u32,
     /// Seed of the sampled directions. Equal seeds give equal bytes for any number of threads.
@@ -54,7 +54,7 @@ impl Quality {
     /// Default number of samples per pixel.
     pub const SAMPLES: u32 = 64;
     /// Maximum number of samples per pixel.
-    pub const MOST_SAMPLES: u32 = 1 << 16;
+    pub const MAX_SAMPLES: u32 = 1 << 16;
 
     /// The Monte-Carlo tier with `samples` per pixel and seed 0.
     pub fn monte_carlo(samples: u32) -> Self {
@@ -83,10 +83,10 @@ impl Quality {
     /// # Errors
     /// The reason if `samples` is out of range.
     pub fn check(self) -> Result<(), String> {
-        if (1..=Self::MOST_SAMPLES).contains(&self.samples) {
+        if (1..=Self::MAX_SAMPLES).contains(&self.samples) {
             return Ok(());
         }
-        Err(format!("must be 1 to {}, got {}", Self::MOST_SAMPLES, self.samples))
+        Err(format!("must be 1 to {}, got {}", Self::MAX_SAMPLES, self.samples))
     }
 }
 

@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 use crate::training::ConfigError;
 
 /// Maximum length of an environment's name, characters.
-const MOST_CHARACTERS: usize = 1024;
+const MAX_NAME_CHARACTERS: usize = 1024;
 /// Maximum magnitude of the exposure, stops.
-pub const MOST_STOPS: f64 = 20.0;
+pub const MAX_STOPS: f64 = 20.0;
 
 /// A measured light. Training keeps it fixed and recovers no light.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -59,16 +59,16 @@ impl KnownLight {
     /// # Errors
     /// Names the invalid field.
     pub fn check(&self) -> Result<(), ConfigError> {
-        if self.environment.is_empty() || self.environment.chars().count() > MOST_CHARACTERS {
-            let reason = format!("must have 1 to {MOST_CHARACTERS} characters");
+        if self.environment.is_empty() || self.environment.chars().count() > MAX_NAME_CHARACTERS {
+            let reason = format!("must have 1 to {MAX_NAME_CHARACTERS} characters");
             return Err(ConfigError::new("light.environment", reason));
         }
         if !self.rotation_deg.is_finite() {
             return Err(ConfigError::new("light.rotation_deg", "must be finite"));
         }
         match self.exposure_ev {
-            LightExposure::Stops(ev) if !(-MOST_STOPS..=MOST_STOPS).contains(&ev) => {
-                let reason = format!("must be -{MOST_STOPS} to {MOST_STOPS}, or \"auto\"");
+            LightExposure::Stops(ev) if !(-MAX_STOPS..=MAX_STOPS).contains(&ev) => {
+                let reason = format!("must be -{MAX_STOPS} to {MAX_STOPS}, or \"auto\"");
                 Err(ConfigError::new("light.exposure_ev", reason))
             }
             _ => Ok(()),

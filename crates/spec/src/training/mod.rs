@@ -21,7 +21,7 @@ pub use choices::{Complexity, ComplexitySetting, LabelSource, Preset};
 pub use crop::{Crop, NamedCrop};
 pub use error::ConfigError;
 pub use grey_card::GreyCard;
-pub use known_light::{Auto, KnownLight, LightExposure, MOST_STOPS};
+pub use known_light::{Auto, KnownLight, LightExposure, MAX_STOPS};
 pub use method::Method;
 pub use shading::ShadingChanges;
 pub use weights::{LearningRateChanges, LearningRates, LossWeightChanges, LossWeights};

@@ -4,7 +4,7 @@ use crate::complexity::decide::RequiredVisibility;
 use crate::complexity::evidence::Overlap;
 use relume_engine::TrainState;
 use relume_engine::cpu::{sigmoid, softmax};
-use relume_scene::light::FULLY_OPEN;
+use relume_scene::light::UNOCCLUDED_SH0;
 use relume_scene::{Field, Gaussians, IndirectForm, VisibilityForm, sh_count};
 
 /// Metalness logit of a surface that is held at dielectric: a metalness of 1e-4.
@@ -25,24 +25,24 @@ fn reshaped(g: &Gaussians, prototypes: usize, visibility: usize, radiance: usize
 }
 
 /// Cuts visibility and radiance, moments and labels with them.
-pub fn cut_orders(state: &mut TrainState, visibility: RequiredVisibility, radiance: usize) {
-    let old = state.model.gaussians.visibility_order();
-    let order = match visibility {
+pub fn cut_degrees(state: &mut TrainState, visibility: RequiredVisibility, radiance: usize) {
+    let old = state.model.gaussians.visibility_degree();
+    let sh_degree = match visibility {
         RequiredVisibility::Off => 0,
-        RequiredVisibility::Order(order) => order.min(old),
+        RequiredVisibility::Degree(sh_degree) => sh_degree.min(old),
     };
-    let cut = |g: &Gaussians| reshaped(g, g.prototypes(), order, radiance.min(g.radiance_order()));
+    let cut = |g: &Gaussians| reshaped(g, g.prototypes(), sh_degree, radiance.min(g.radiance_degree()));
     state.model.gaussians = cut(&state.model.gaussians);
     state.moments.first = cut(&state.moments.first);
     state.moments.second = cut(&state.moments.second);
     if visibility == RequiredVisibility::Off {
         state.model.shading.visibility = VisibilityForm::Off;
-        state.model.gaussians.field_mut(Field::Visibility).fill(FULLY_OPEN);
+        state.model.gaussians.field_mut(Field::Visibility).fill(UNOCCLUDED_SH0);
         state.labels = Vec::new();
         state.arriving = Vec::new();
     } else {
         let rows = state.labels.chunks_exact(sh_count(old));
-        state.labels = rows.flat_map(|row| row[..sh_count(order)].iter().copied()).collect();
+        state.labels = rows.flat_map(|row| row[..sh_count(sh_degree)].iter().copied()).collect();
     }
 }
 
@@ -78,7 +78,7 @@ pub fn merge_prototypes(state: &mut TrainState, groups: &[Vec<usize>], overlap: 
     let before = mixed(state);
     let n = groups.len();
     let merge = |g: &Gaussians, combine: &dyn Fn(&[f32], &[usize]) -> f32| {
-        let mut out = reshaped(g, n, g.visibility_order(), g.radiance_order());
+        let mut out = reshaped(g, n, g.visibility_degree(), g.radiance_degree());
         for i in 0..g.len() {
             let row = g.row(Field::ProtoLogits, i);
             let target = out.row_mut(Field::ProtoLogits, i);

@@ -29,9 +29,9 @@ pub const DROP_TOLERANCE: f32 = 0.05;
 /// Shares of the Gaussians, those of least weight, that are dropped in trials, in this order.
 pub const DROPPED_SHARES: [f32; 12] = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7];
 /// Training PSNR per doubling of the Gaussians below which no more are added, dB.
-pub const FLAT: f32 = 0.2;
+pub const MIN_PSNR_GAIN: f32 = 0.2;
 /// Training PSNR beyond which no more Gaussians are added, dB: a root mean square error of 3.6 / 255.
-pub const ENOUGH: f32 = 37.0;
+pub const SUFFICIENT_PSNR: f32 = 37.0;
 
 /// The visibility field that a scene requires.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,14 +39,14 @@ pub enum RequiredVisibility {
     /// None: every surface sees all directions that it faces.
     Off,
     /// Degrees up to this.
-    Order(usize),
+    Degree(usize),
 }
 
 impl fmt::Display for RequiredVisibility {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Off => f.write_str("off"),
-            Self::Order(order) => write!(f, "degree {order}"),
+            Self::Degree(sh_degree) => write!(f, "degree {sh_degree}"),
         }
     }
 }
@@ -74,9 +74,9 @@ pub fn visibility(errors: &VisibilityErrors, convexity: Convexity, is_gathered: 
     if convexity == Convexity::Convex && !is_gathered {
         return RequiredVisibility::Off;
     }
-    let order = errors.field.len() - 1;
+    let sh_degree = errors.field.len() - 1;
     let fits = |l: &usize| errors.ambient[*l] <= AMBIENT_TOLERANCE && errors.field[*l] <= FIELD_TOLERANCE;
-    RequiredVisibility::Order((1..order).find(fits).unwrap_or(order))
+    RequiredVisibility::Degree((1..sh_degree).find(fits).unwrap_or(sh_degree))
 }
 
 /// The Gaussians left when `share` of them, those of least weight, are dropped: in order, at least one.
@@ -93,7 +93,7 @@ pub fn heaviest(weights: &[f32], share: f32) -> Vec<usize> {
 ///
 /// Never degree 0 of a higher configured degree: degree 1 takes the part of the colour that depends on the direction, so
 /// that albedo restarts from the rest.
-pub fn radiance_order(residuals: &[f32]) -> usize {
+pub fn radiance_degree(residuals: &[f32]) -> usize {
     let most = residuals.len().saturating_sub(1);
     residuals.iter().position(|r| *r <= RADIANCE_TOLERANCE).unwrap_or(most).max(1).min(most)
 }
@@ -142,9 +142,9 @@ pub fn is_enough(history: &[(u32, f32)]) -> bool {
     let [.., a, b, c] = history else { return false };
     let is_flat = |from: &(u32, f32), to: &(u32, f32)| {
         let doublings = (to.0 as f32 / from.0.max(1) as f32).log2();
-        doublings > 0.0 && to.1 - from.1 < FLAT * doublings
+        doublings > 0.0 && to.1 - from.1 < MIN_PSNR_GAIN * doublings
     };
-    (is_flat(a, b) && is_flat(b, c)) || (b.1 > ENOUGH && c.1 > ENOUGH)
+    (is_flat(a, b) && is_flat(b, c)) || (b.1 > SUFFICIENT_PSNR && c.1 > SUFFICIENT_PSNR)
 }
 
 #[cfg(test)]
@@ -160,16 +160,16 @@ mod tests {
     fn lowest_visibility_within_both_tolerances_is_chosen() {
         let flat = [0.0; 5];
         assert_eq!(visibility(&errors(0.01, flat, flat), Convex, false), RequiredVisibility::Off);
-        assert_eq!(visibility(&errors(0.01, flat, flat), Convex, true), RequiredVisibility::Order(1));
-        assert_eq!(visibility(&errors(0.01, flat, flat), Unproven, false), RequiredVisibility::Order(1));
+        assert_eq!(visibility(&errors(0.01, flat, flat), Convex, true), RequiredVisibility::Degree(1));
+        assert_eq!(visibility(&errors(0.01, flat, flat), Unproven, false), RequiredVisibility::Degree(1));
         assert_eq!(convexity(Some(0.0), 0.05), Convex);
         assert_eq!(convexity(Some(0.0), 0.3), Unproven, "a bowl looks convex from outside");
         assert_eq!([convexity(Some(0.2), 0.0), convexity(None, 0.0)], [Unproven; 2], "no masks, no evidence");
         let needs_two = [0.5, 0.1, 0.001, 0.0, 0.0];
-        assert_eq!(visibility(&errors(0.2, needs_two, flat), Unproven, false), RequiredVisibility::Order(2));
-        assert_eq!(visibility(&errors(0.2, flat, needs_two), Unproven, false), RequiredVisibility::Order(2));
+        assert_eq!(visibility(&errors(0.2, needs_two, flat), Unproven, false), RequiredVisibility::Degree(2));
+        assert_eq!(visibility(&errors(0.2, flat, needs_two), Unproven, false), RequiredVisibility::Degree(2));
         let needs_all = [0.5, 0.4, 0.3, 0.2, 0.0];
-        assert_eq!(visibility(&errors(0.2, flat, needs_all), Unproven, false), RequiredVisibility::Order(4));
+        assert_eq!(visibility(&errors(0.2, flat, needs_all), Unproven, false), RequiredVisibility::Degree(4));
     }
 
     /// Mixtures of equally heavy Gaussians.
@@ -227,9 +227,9 @@ mod tests {
 
     #[test]
     fn radiance_degree_keeps_only_significant_coefficients() {
-        assert_eq!(radiance_order(&[0.005, 0.001, 0.0]), 1);
-        assert_eq!(radiance_order(&[0.0]), 0, "what is not there cannot stay");
-        assert_eq!(radiance_order(&[0.05, 0.004, 0.0]), 1);
-        assert_eq!(radiance_order(&[0.05, 0.04, 0.0]), 2);
+        assert_eq!(radiance_degree(&[0.005, 0.001, 0.0]), 1);
+        assert_eq!(radiance_degree(&[0.0]), 0, "what is not there cannot stay");
+        assert_eq!(radiance_degree(&[0.05, 0.004, 0.0]), 1);
+        assert_eq!(radiance_degree(&[0.05, 0.04, 0.0]), 2);
     }
 }

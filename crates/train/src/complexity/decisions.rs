@@ -2,7 +2,7 @@
 
 use crate::complexity::photographs::{DecisionContext, FEW_VIEWS};
 use crate::complexity::state::{ComplexityState, DecisionPoint};
-use crate::complexity::{apply, decide, evidence, orders, trials};
+use crate::complexity::{ablations, apply, decide, evidence, sh_degrees};
 use crate::context::StepContext;
 use crate::dataset::Dataset;
 use relume_engine::TrainState;
@@ -25,16 +25,16 @@ impl ComplexityState {
         match point {
             DecisionPoint::Measured => {
                 let weights = context.blending_weights(state, FEW_VIEWS);
-                let shown = orders::Shown { weights, concavity: context.concavity() };
-                orders::decide(self, context, &shown, state);
+                let photo_evidence = sh_degrees::PhotoEvidence { weights, concavity: context.concavity() };
+                sh_degrees::decide(self, context, &photo_evidence, state);
             }
-            DecisionPoint::Trained => trials::decide_metalness(self, context, state),
+            DecisionPoint::Trained => ablations::decide_metalness(self, context, state),
             DecisionPoint::HalfWay => {
-                trials::drop_least(self, context, state);
+                ablations::drop_least(self, context, state);
                 merge_prototypes(self, context, state);
             }
             DecisionPoint::End => {
-                trials::decide_sheen(self, context, state);
+                ablations::decide_sheen(self, context, state);
                 merge_prototypes(self, context, state);
             }
         }
@@ -45,14 +45,14 @@ impl ComplexityState {
 fn merge_prototypes(complexity: &mut ComplexityState, context: &DecisionContext<'_>, state: &mut TrainState) {
     let n = state.model.prototypes.len();
     if context.is_forced(ComplexitySetting::Prototypes) {
-        return complexity.note_forced(ComplexitySetting::Prototypes, context.steps, n.to_string());
+        return complexity.record_forced_value(ComplexitySetting::Prototypes, context.steps, n.to_string());
     }
     let weights = context.blending_weights(state, FEW_VIEWS);
     let overlap = evidence::Overlap::of(&state.model.gaussians, &weights);
     let (groups, moved) = decide::prototypes(&state.model.prototypes, &overlap);
     let figures = [("albedo_moved_rms", moved), ("tolerance", decide::PROTOTYPE_TOLERANCE)];
     let (was, is) = (n.to_string(), groups.len().to_string());
-    complexity.note(ComplexitySetting::Prototypes, context.steps, was, is, &figures);
+    complexity.record_decision(ComplexitySetting::Prototypes, context.steps, was, is, &figures);
     if groups.len() < n {
         apply::merge_prototypes(state, &groups, &overlap);
     }

@@ -10,7 +10,7 @@ use relume_scene::light::{LightTables, nrsh};
 use relume_scene::{Field, Gaussians, sh_count};
 
 /// Most visibility coefficients (order 8).
-const MOST: usize = 81;
+const MAX_COEFFICIENTS: usize = 81;
 
 /// Mean of `(value, weight)` pairs, 0 without weight.
 pub fn weighted_mean(pairs: impl Iterator<Item = (f32, f32)>) -> f32 {
@@ -34,13 +34,13 @@ pub struct VisibilityErrors {
 /// The direction in which each field of `coefficients` is most open, from its degree 1; up where it has none.
 ///
 /// Early in a training Gaussians are round and their normals arbitrary; the measured visibility is not.
-pub fn open_directions(coefficients: &[f32], order: usize) -> Vec<[f32; 3]> {
+pub fn open_directions(coefficients: &[f32], sh_degree: usize) -> Vec<[f32; 3]> {
     let open = |c: &[f32]| {
         let [x, y, z] = if c.len() >= 4 { [-c[3], -c[1], c[2]] } else { [0.0; 3] };
         let length = (x * x + y * y + z * z).sqrt();
         if length > 1e-6 { [x, y, z].map(|v| v / length) } else { [0.0, 0.0, 1.0] }
     };
-    coefficients.chunks_exact(sh_count(order)).map(open).collect()
+    coefficients.chunks_exact(sh_count(sh_degree)).map(open).collect()
 }
 
 /// Share of a silhouette's convex hull that the silhouette leaves empty, in pixels; `None` without a silhouette.
@@ -83,22 +83,22 @@ pub fn concavity(alpha: &[f32], width: usize) -> Option<f32> {
     Some(((hull - covered as f64) / hull.max(1.0)).max(0.0) as f32)
 }
 
-/// Errors of cutting the measurement `coefficients` (`[Gaussian][(order + 1)^2]`), seen along `normals`.
+/// Errors of cutting the measurement `coefficients` (`[Gaussian][(sh_degree + 1)^2]`), seen along `normals`.
 pub fn visibility(
     coefficients: &[f32],
-    order: usize,
+    sh_degree: usize,
     normals: &[[f32; 3]],
     weights: &[f32],
 ) -> VisibilityErrors {
-    let n = sh_count(order);
+    let n = sh_count(sh_degree);
     let mut partial = Vec::with_capacity(normals.len());
     let mut beyond = Vec::with_capacity(normals.len());
     for (c, normal) in coefficients.chunks_exact(n).zip(normals) {
-        let mut basis = [0.0f32; MOST];
-        nrsh(order, *normal, &mut basis);
+        let mut basis = [0.0f32; MAX_COEFFICIENTS];
+        nrsh(sh_degree, *normal, &mut basis);
         // Ambient occlusion and energy, degree by degree.
         let (mut ao, mut energy) = ([0.0f32; 9], [0.0f32; 9]);
-        for l in 0..=order {
+        for l in 0..=sh_degree {
             let degree = l * l..(l + 1) * (l + 1);
             ao[l] = if l > 0 { ao[l - 1] } else { 0.0 };
             for j in degree {
@@ -112,9 +112,9 @@ pub fn visibility(
     let of =
         |value: &dyn Fn(usize) -> f32| weighted_mean(weights.iter().enumerate().map(|(i, w)| (value(i), *w)));
     VisibilityErrors {
-        off: of(&|i| 1.0 - partial[i][order]),
-        ambient: (0..=order).map(|l| of(&|i| (partial[i][l] - partial[i][order]).abs())).collect(),
-        field: (0..=order).map(|l| of(&|i| beyond[i][l + 1..=order].iter().sum())).collect(),
+        off: of(&|i| 1.0 - partial[i][sh_degree]),
+        ambient: (0..=sh_degree).map(|l| of(&|i| (partial[i][l] - partial[i][sh_degree]).abs())).collect(),
+        field: (0..=sh_degree).map(|l| of(&|i| beyond[i][l + 1..=sh_degree].iter().sum())).collect(),
     }
 }
 
@@ -144,13 +144,13 @@ pub fn indirect_share(
 
 /// Root mean square of the display colour that the radiance branch loses over all directions, by degree kept.
 pub fn radiance_residuals(g: &Gaussians, weights: &[f32]) -> Vec<f32> {
-    let order = g.radiance_order();
+    let sh_degree = g.radiance_degree();
     let beyond = |i: usize, degree: usize| -> f32 {
         let rest = &g.row(Field::Radiance, i)[3 * sh_count(degree)..];
         rest.iter().map(|s| s * s).sum::<f32>() / (12.0 * PI)
     };
     let mean = |degree| weighted_mean(weights.iter().enumerate().map(|(i, w)| (beyond(i, degree), *w)));
-    (0..=order).map(|degree| mean(degree).sqrt()).collect()
+    (0..=sh_degree).map(|degree| mean(degree).sqrt()).collect()
 }
 
 /// How the Gaussians mix the prototypes.
@@ -216,12 +216,12 @@ impl Overlap {
 
 /// Coefficients of a field that is open on the side of `normal` only, and of one open everywhere (for tests).
 #[cfg(test)]
-pub(super) fn half_open(order: usize, normal: [f32; 3]) -> Vec<f32> {
+pub(super) fn half_open(sh_degree: usize, normal: [f32; 3]) -> Vec<f32> {
     let directions = relume_engine::fibonacci_sphere(4096);
-    let mut out = vec![0.0; sh_count(order)];
+    let mut out = vec![0.0; sh_count(sh_degree)];
     for d in directions.iter().filter(|d| (0..3).map(|k| d[k] * normal[k]).sum::<f32>() > 0.0) {
-        let mut y = [0.0f32; MOST];
-        relume_scene::light::sh_eval(order, *d, &mut y);
+        let mut y = [0.0f32; MAX_COEFFICIENTS];
+        relume_scene::light::sh_eval(sh_degree, *d, &mut y);
         out.iter_mut().zip(&y).for_each(|(o, y)| *o += 4.0 * PI / 4096.0 * y);
     }
     out
@@ -230,7 +230,7 @@ pub(super) fn half_open(order: usize, normal: [f32; 3]) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use relume_scene::light::FULLY_OPEN;
+    use relume_scene::light::UNOCCLUDED_SH0;
     use relume_scene::light::{EnvOperators, TableResolution};
 
     #[test]
@@ -284,7 +284,7 @@ mod tests {
     fn indirect_share_is_the_ratio_of_irradiances() {
         let operators = EnvOperators::new(16, 8, 1, TableResolution::TRAINING);
         let tables = operators.apply(&[[1.0; 3]; 128]);
-        let open = [FULLY_OPEN, 0.0, 0.0, 0.0];
+        let open = [UNOCCLUDED_SH0, 0.0, 0.0, 0.0];
         let up = [[0.0, 0.0, 1.0]];
         let gathered = [[0.1 * PI, 0.1 * PI, 0.1 * PI, 9.0, 9.0, 9.0]];
         // An open surface under white light of radiance 1 receives pi.

@@ -4,16 +4,16 @@
 //! Decisions depend on the state of the training alone, so a resumed training decides what an uninterrupted one does.
 //!
 //! [`state`] records what was decided. `evidence` and `decide` are pure functions on plain arrays; `photographs` gathers
-//! evidence that takes rendering; `orders` and `trials` make the decisions from them, `apply` changes the model.
+//! evidence that takes rendering; `sh_degrees` and `ablations` make the decisions from them, `apply` changes the model.
 
+mod ablations;
 mod apply;
 mod decide;
 mod decisions;
 mod evidence;
-mod orders;
 mod photographs;
+mod sh_degrees;
 pub mod state;
-mod trials;
 
 #[cfg(test)]
 pub use apply::DIELECTRIC;

@@ -12,7 +12,7 @@ pub const FEW_VIEWS: usize = 12;
 /// The same where single Gaussians are judged.
 pub const MANY_VIEWS: usize = 64;
 /// Photographs on which the model is tried without one of its parts.
-const TRIALS: usize = 8;
+const ABLATION_PHOTOS: usize = 8;
 
 /// What a decision is made from besides the state of the training.
 #[derive(Debug, Clone, Copy)]
@@ -60,8 +60,9 @@ impl<'a> DecisionContext<'a> {
 
     /// PSNR by the mean squared error that `error` finds on one photograph.
     fn psnr(&self, error: impl Fn(&Photo) -> f32) -> f32 {
-        let looks = self.evenly_spaced(TRIALS).map(|i| self.photos.look(i, PhotoSize::Full));
-        let errors = looks.map(|photo| (error(&photo), 1.0));
+        let decoded =
+            self.evenly_spaced(ABLATION_PHOTOS).map(|i| self.photos.decode_uncached(i, PhotoSize::Full));
+        let errors = decoded.map(|photo| (error(&photo), 1.0));
         -10.0 * evidence::weighted_mean(errors).max(1e-10).log10()
     }
 
@@ -70,7 +71,7 @@ impl<'a> DecisionContext<'a> {
         if !self.step.has_alpha {
             return None;
         }
-        let each = self.evenly_spaced(MANY_VIEWS).map(|i| self.photos.look(i, PhotoSize::Full));
+        let each = self.evenly_spaced(MANY_VIEWS).map(|i| self.photos.decode_uncached(i, PhotoSize::Full));
         let all: Vec<f32> =
             each.filter_map(|p| evidence::concavity(&p.alpha, p.camera.width as usize)).collect();
         (!all.is_empty()).then(|| all.iter().sum::<f32>() / all.len() as f32)

@@ -13,7 +13,7 @@ const EARLIEST: f32 = 0.2;
 
 /// One decision with its evidence.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Finding {
+pub struct ComplexityDecision {
     /// What was decided on.
     pub setting: ComplexitySetting,
     /// Steps done.
@@ -43,7 +43,7 @@ struct Growth {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct ComplexityState {
     /// Decisions in order.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<ComplexityDecision>,
     /// True when metalness is held at dielectric.
     pub is_dielectric: bool,
     /// The most Gaussians, once more were found not to improve the result.
@@ -112,16 +112,22 @@ impl ComplexityState {
             ("psnr_before", from.1),
             ("psnr", to.1),
             ("gaussians_before", from.0 as f32),
-            ("tolerance_db_per_doubling", decide::FLAT),
-            ("enough_db", decide::ENOUGH),
+            ("tolerance_db_per_doubling", decide::MIN_PSNR_GAIN),
+            ("enough_db", decide::SUFFICIENT_PSNR),
         ];
         self.most_gaussians = Some(to.0);
         let was = format!("at most {}", config.max_gaussians);
-        self.note(ComplexitySetting::Gaussians, steps, was, format!("at most {}", to.0), &evidence);
+        self.record_decision(
+            ComplexitySetting::Gaussians,
+            steps,
+            was,
+            format!("at most {}", to.0),
+            &evidence,
+        );
     }
 
     /// Records a decision on `setting`.
-    pub(super) fn note(
+    pub(super) fn record_decision(
         &mut self,
         setting: ComplexitySetting,
         step: u32,
@@ -131,18 +137,25 @@ impl ComplexityState {
     ) {
         let named = |(name, value): &(&str, f32)| ((*name).to_owned(), value.clamp(-1e9, 1e9));
         let evidence = evidence.iter().map(named).collect();
-        self.findings.push(Finding { setting, step, was, is, forced: false, evidence });
+        self.findings.push(ComplexityDecision { setting, step, was, is, forced: false, evidence });
     }
 
     /// Records that a caller had set `setting`.
-    pub(super) fn note_forced(&mut self, setting: ComplexitySetting, step: u32, value: String) {
+    pub(super) fn record_forced_value(&mut self, setting: ComplexitySetting, step: u32, value: String) {
         let evidence = BTreeMap::new();
-        self.findings.push(Finding { setting, step, was: value.clone(), is: value, forced: true, evidence });
+        self.findings.push(ComplexityDecision {
+            setting,
+            step,
+            was: value.clone(),
+            is: value,
+            forced: true,
+            evidence,
+        });
     }
 
     /// The part of the model card about decisions.
     pub fn card(&self, config: &TrainConfig) -> Value {
-        let finding = |f: &Finding| {
+        let finding = |f: &ComplexityDecision| {
             let evidence: BTreeMap<&String, f64> = f.evidence.iter().map(|(k, v)| (k, rounded(*v))).collect();
             json!({
                 "setting": f.setting, "step": f.step, "was": f.was, "is": f.is,

@@ -3,10 +3,10 @@
 use serde_json::Value;
 
 use super::decide::RequiredVisibility;
-use super::orders::{self, Shown};
 use super::photographs::DecisionContext;
+use super::sh_degrees::{self, PhotoEvidence};
 use super::state::ComplexityState;
-use super::{apply, evidence, trials};
+use super::{ablations, apply, evidence};
 use crate::context::StepContext;
 use crate::dataset::Dataset;
 use relume_engine::cpu::{Pass, evaluation, radiance_image};
@@ -57,15 +57,15 @@ fn albedo(state: &TrainState, i: usize) -> [f32; 3] {
 #[test]
 fn reducing_sh_degrees_keeps_lower_coefficients_and_moments() {
     let (before, mut after) = (small_state(), small_state());
-    apply::cut_orders(&mut after, RequiredVisibility::Order(2), 0);
+    apply::cut_degrees(&mut after, RequiredVisibility::Degree(2), 0);
     let (old, new) = (&before.model.gaussians, &after.model.gaussians);
-    assert_eq!((new.visibility_order(), new.radiance_order()), (2, 0));
+    assert_eq!((new.visibility_degree(), new.radiance_degree()), (2, 0));
     assert_eq!(new.row(Field::Visibility, 3), &old.row(Field::Visibility, 3)[..9]);
     assert_eq!(new.row(Field::Radiance, 3), &old.row(Field::Radiance, 3)[..3]);
     assert_eq!(new.field(Field::ProtoLogits), old.field(Field::ProtoLogits));
     assert_eq!(after.labels[3 * 9..4 * 9], before.labels[3 * 25..3 * 25 + 9]);
     assert_eq!(after.moments.first.row(Field::Mean, 4), [7.0; 3]);
-    assert_eq!(after.moments.second.visibility_order(), 2);
+    assert_eq!(after.moments.second.visibility_degree(), 2);
 }
 
 #[test]
@@ -144,7 +144,7 @@ fn in_context(overrides: &TrainOverrides, photos: &Dataset, act: impl FnOnce(&De
     let step = StepContext {
         config: &config,
         operators: &operators,
-        turns: &relume_engine::LightTurns::default(),
+        rotations: &relume_engine::LightRotations::default(),
         background: [1.0; 3],
         has_alpha: true,
     };
@@ -157,9 +157,9 @@ fn decided(
     mut state: TrainState,
 ) -> (ComplexityState, TrainState) {
     let mut complexity = ComplexityState::default();
-    let shown = Shown { weights: vec![1.0; 5], concavity: Some(concavity) };
+    let photo_evidence = PhotoEvidence { weights: vec![1.0; 5], concavity: Some(concavity) };
     in_context(overrides, &Dataset::of_photos(&[]), |context| {
-        orders::decide(&mut complexity, context, &shown, &mut state)
+        sh_degrees::decide(&mut complexity, context, &photo_evidence, &mut state)
     });
     (complexity, state)
 }
@@ -170,7 +170,7 @@ fn a_convex_object_needs_no_visibility_and_no_indirect_light() {
     assert_eq!(state.model.shading.visibility, VisibilityForm::Off);
     assert_eq!(state.model.shading.indirect, IndirectForm::Off);
     let g = &state.model.gaussians;
-    assert_eq!((g.visibility_order(), g.radiance_order()), (0, 1));
+    assert_eq!((g.visibility_degree(), g.radiance_degree()), (0, 1));
     assert!(state.labels.is_empty() && state.gathered.is_empty());
     let card = complexity.card(&config(&TrainOverrides::default()));
     assert_eq!(card["findings"][0]["is"], "off", "{card}");
@@ -181,7 +181,7 @@ fn a_convex_object_needs_no_visibility_and_no_indirect_light() {
 fn indirect_light_is_kept_together_with_visibility() {
     let (_, state) = decided(&TrainOverrides::default(), 0.2, convex(0.5));
     assert_eq!(state.model.shading, ShadingOptions::default());
-    assert!(state.model.gaussians.visibility_order() >= 1);
+    assert!(state.model.gaussians.visibility_degree() >= 1);
 }
 
 #[test]
@@ -195,7 +195,7 @@ fn settings_given_by_the_caller_are_not_decided() {
     let (complexity, state) = decided(&named, 0.0, convex(0.001));
     assert_eq!(state.model.shading, ShadingOptions::default());
     let g = &state.model.gaussians;
-    assert_eq!((g.visibility_order(), g.radiance_order()), (4, 1));
+    assert_eq!((g.visibility_degree(), g.radiance_degree()), (4, 1));
     assert!(complexity.findings.iter().all(|f| f.forced) && complexity.findings.len() == 3, "{complexity:?}");
 }
 
@@ -228,7 +228,7 @@ fn hidden_gaussians_are_dropped_and_visible_ones_are_kept() {
         let mut complexity = ComplexityState::default();
         let photos = Dataset::of_photos(&[photo.clone(), photo]);
         in_context(&TrainOverrides::default(), &photos, |context| {
-            trials::drop_least(&mut complexity, context, &mut state);
+            ablations::drop_least(&mut complexity, context, &mut state);
         });
         assert_eq!(complexity.findings[0].is, state.model.gaussians.len().to_string());
         (state.model.gaussians.field(Field::Mean).to_vec(), complexity)
@@ -251,7 +251,7 @@ fn sheen_is_kept_only_if_photographs_show_it() {
             let image = context.step.physical_image(&state, &photo);
             photo.pixels = image.iter().map(|p| p.map(|v| v + 0.05)).collect();
             let context = DecisionContext { photos: &Dataset::of_photos(&[photo]), ..*context };
-            trials::decide_sheen(&mut complexity, &context, &mut state);
+            ablations::decide_sheen(&mut complexity, &context, &mut state);
         });
         let stays = state.model.gaussians.field(Field::Sheen).iter().all(|s| *s == sheen);
         (stays, complexity.findings[0].is.clone())

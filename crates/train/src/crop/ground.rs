@@ -17,9 +17,9 @@ const THICKNESS: f64 = 0.05;
 /// Height above the plane at which the subject begins, ball radii.
 const CLEARANCE: f64 = 0.03;
 /// Least share of what is seen in the ball that lies on the ground beyond what lies below it, and that stands on it.
-const LEAST: [f64; 2] = [0.08, 0.1];
+const MIN_SHARES: [f64; 2] = [0.08, 0.1];
 /// A Gaussian counts at most this many times the median: a few large ones are haze.
-const LARGEST: f64 = 4.0;
+const MAX_WEIGHT_RATIO: f64 = 4.0;
 
 /// Upward unit normal of the ground in the ball, and the height along it below which nothing is the subject; `None` where no
 /// level plane carries enough of what `cameras` see.
@@ -73,14 +73,14 @@ fn plane(points: &[(DVec3, f64)], radius: f64) -> Option<[f64; 4]> {
         }
     }
     let (carries, above, plane) = best;
-    (carries > LEAST[0] && above > LEAST[1]).then_some(plane)
+    (carries > MIN_SHARES[0] && above > MIN_SHARES[1]).then_some(plane)
 }
 
-/// Weights of `points`, none above [`LARGEST`] times the median; their sum is 1.
+/// Weights of `points`, none above [`MAX_WEIGHT_RATIO`] times the median; their sum is 1.
 fn capped(points: &[(DVec3, f64)]) -> Vec<f64> {
     let mut sorted: Vec<f64> = points.iter().map(|(_, weight)| *weight).collect();
     sorted.sort_unstable_by(f64::total_cmp);
-    let most = LARGEST * sorted[sorted.len() / 2];
+    let most = MAX_WEIGHT_RATIO * sorted[sorted.len() / 2];
     let sum: f64 = sorted.iter().map(|weight| weight.min(most)).sum();
     points.iter().map(|(_, weight)| weight.min(most) / sum).collect()
 }

@@ -24,18 +24,18 @@ const TRANSPARENT: f32 = -30.0;
 pub const SILHOUETTE: [Field; 5] =
     [Field::Mean, Field::LogScale, Field::Quaternion, Field::OpacityLogit, Field::Radiance];
 /// Share of a pixel that the subject covers at which its mask begins and is whole: below is haze, above are gaps.
-const EDGE: [f32; 2] = [0.2, 0.6];
+const MASK_RAMP: [f32; 2] = [0.2, 0.6];
 
 /// What was cut out, and all that is needed to make the masks again.
 #[derive(Debug, Clone, PartialEq)]
-pub struct CutOut {
+pub struct SubjectCrop {
     /// The region, in the normalised world before the cut.
     pub region: Region,
     /// The fields of [`SILHOUETTE`] of every Gaussian before the cut, haze without opacity; the others are zero.
     pub gaussians: Gaussians,
 }
 
-impl CutOut {
+impl SubjectCrop {
     /// Cuts `state` along `region`: the Gaussians outside go, and the rest is brought to a world whose unit is the region's radius.
     /// `None` where fewer than `least` Gaussians lie inside.
     pub fn of(state: &mut TrainState, region: Region, least: usize) -> Option<Self> {
@@ -51,7 +51,7 @@ impl CutOut {
         }
         silhouette.field_mut(Field::Radiance).fill(-0.5 / SH0);
         kept.iter().for_each(|i| silhouette.row_mut(Field::Radiance, *i).fill(0.5 / SH0));
-        for i in (0..g.len()).filter(|i| region.is_haze(g, *i)) {
+        for i in (0..g.len()).filter(|i| region.is_oversized(g, *i)) {
             silhouette.row_mut(Field::OpacityLogit, i).fill(TRANSPARENT);
         }
         state.select(&kept);
@@ -90,6 +90,6 @@ impl CutOut {
 
 /// The mask of a pixel that the subject covers by `share`.
 fn opacity(share: f32) -> f32 {
-    let t = ((share - EDGE[0]) / (EDGE[1] - EDGE[0])).clamp(0.0, 1.0);
+    let t = ((share - MASK_RAMP[0]) / (MASK_RAMP[1] - MASK_RAMP[0])).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }

@@ -10,7 +10,7 @@ use relume_scene::{Field, Gaussians};
 use relume_spec::training::{Crop, NamedCrop};
 
 /// Standard deviation from which a Gaussian is haze that explains surroundings, ball radii.
-const HAZE: f64 = 0.2;
+const MAX_SUBJECT_SCALE: f64 = 0.2;
 
 /// A ball, and what lies above the ground in it. Normalised world of the training before the cut.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -29,7 +29,7 @@ impl Region {
         match crop {
             Crop::Named(NamedCrop::None) => None,
             Crop::Named(NamedCrop::Auto) => {
-                let (centre, radius) = relume_capture::looked_at(&data.cameras(PhotoSize::Full));
+                let (centre, radius) = relume_capture::focus_region(&data.cameras(PhotoSize::Full));
                 let ground = ground::find(state, &data.cameras(PhotoSize::Half), centre, radius);
                 Some(Self { centre: centre.to_array(), radius, ground })
             }
@@ -44,13 +44,13 @@ impl Region {
     pub fn contains(&self, g: &Gaussians, i: usize) -> bool {
         let p = DVec3::from_array(std::array::from_fn(|k| f64::from(g.row(Field::Mean, i)[k])));
         let above = self.ground.is_none_or(|[x, y, z, height]| DVec3::new(x, y, z).dot(p) > height);
-        above && !self.is_haze(g, i) && (p - DVec3::from(self.centre)).length() < self.radius
+        above && !self.is_oversized(g, i) && (p - DVec3::from(self.centre)).length() < self.radius
     }
 
     /// Whether the Gaussian `i` of `g` is too large to be a part of the subject, or of anything that stands before it.
-    pub fn is_haze(&self, g: &Gaussians, i: usize) -> bool {
+    pub fn is_oversized(&self, g: &Gaussians, i: usize) -> bool {
         let largest = g.row(Field::LogScale, i).iter().fold(f32::NEG_INFINITY, |most, s| most.max(*s));
-        f64::from(largest).exp() >= HAZE * self.radius
+        f64::from(largest).exp() >= MAX_SUBJECT_SCALE * self.radius
     }
 
     /// Scale and offset to the world after the cut, `x' = scale * (x + offset)`: the ball becomes the unit ball.

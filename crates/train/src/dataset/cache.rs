@@ -32,21 +32,21 @@ pub struct DecodingStats {
 /// The cache. The least recently used photograph goes first.
 #[derive(Debug)]
 pub struct PhotoCache {
-    shared: Arc<Shared>,
+    shared: Arc<SharedCache>,
     threads: Vec<JoinHandle<()>>,
 }
 
 #[derive(Debug)]
-struct Shared {
-    state: Mutex<State>,
+struct SharedCache {
+    state: Mutex<CacheState>,
     /// Signalled when something was decoded, when something is to be decoded, and at the end.
     changed: Condvar,
 }
 
 #[derive(Debug)]
-struct State {
+struct CacheState {
     most: usize,
-    entries: HashMap<Key, Entry>,
+    entries: HashMap<Key, CacheEntry>,
     /// Bytes of all entries, those that are being decoded included.
     bytes: usize,
     /// To be decoded ahead, in order.
@@ -60,7 +60,7 @@ struct State {
 }
 
 #[derive(Debug)]
-struct Entry {
+struct CacheEntry {
     bytes: usize,
     used: u64,
     /// Absent while it is being decoded.
@@ -70,7 +70,7 @@ struct Entry {
 impl PhotoCache {
     /// Keeps at most `most` bytes of decoded photographs, beside those that callers hold.
     pub fn new(most: usize) -> Self {
-        let state = State {
+        let state = CacheState {
             most,
             entries: HashMap::new(),
             bytes: 0,
@@ -80,7 +80,7 @@ impl PhotoCache {
             stats: DecodingStats::default(),
             ends: false,
         };
-        let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
+        let shared = Arc::new(SharedCache { state: Mutex::new(state), changed: Condvar::new() });
         let start = |k: usize| {
             let shared = shared.clone();
             std::thread::Builder::new()
@@ -114,7 +114,7 @@ impl PhotoCache {
     }
 
     /// Has what is asked for next, in this order, decoded meanwhile, as far as the bound allows.
-    pub fn expect(&self, next: impl Iterator<Item = (Key, Arc<StoredPhoto>)>) {
+    pub fn prefetch(&self, next: impl Iterator<Item = (Key, Arc<StoredPhoto>)>) {
         let mut state = self.shared.lock();
         state.wanted.clear();
         let mut room = state.most;
@@ -168,12 +168,12 @@ impl Drop for PhotoCache {
     }
 }
 
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
+impl SharedCache {
+    fn lock(&self) -> MutexGuard<'_, CacheState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn wait<'a>(&'a self, state: MutexGuard<'a, State>) -> MutexGuard<'a, State> {
+    fn wait<'a>(&'a self, state: MutexGuard<'a, CacheState>) -> MutexGuard<'a, CacheState> {
         self.changed.wait(state).unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -194,7 +194,12 @@ impl Shared {
     }
 
     /// A photograph that is not ready: waits for the thread that decodes it, or decodes it.
-    fn decoded<'a>(&'a self, mut state: MutexGuard<'a, State>, key: Key, stored: &StoredPhoto) -> Arc<Photo> {
+    fn decoded<'a>(
+        &'a self,
+        mut state: MutexGuard<'a, CacheState>,
+        key: Key,
+        stored: &StoredPhoto,
+    ) -> Arc<Photo> {
         while state.entries.contains_key(&key) {
             if let Some(photo) = state.ready(key) {
                 return photo;
@@ -210,14 +215,19 @@ impl Shared {
     }
 
     /// Decodes into an entry of its own, for which there is room.
-    fn decode_into(&self, mut state: MutexGuard<'_, State>, key: Key, stored: &StoredPhoto) -> Arc<Photo> {
+    fn decode_into(
+        &self,
+        mut state: MutexGuard<'_, CacheState>,
+        key: Key,
+        stored: &StoredPhoto,
+    ) -> Arc<Photo> {
         let bytes = stored.decoded_bytes(key.1);
         state.bytes += bytes;
         state.clock += 1;
         let used = state.clock;
-        state.entries.insert(key, Entry { bytes, used, photo: None });
+        state.entries.insert(key, CacheEntry { bytes, used, photo: None });
         state.stats.decoded += 1;
-        let pending = Pending { shared: self, key, generation: state.generation };
+        let pending = PendingDecode { shared: self, key, generation: state.generation };
         drop(state);
         let photo = Arc::new(stored.decoded(key.1));
         pending.finish(photo.clone());
@@ -225,7 +235,7 @@ impl Shared {
     }
 }
 
-impl State {
+impl CacheState {
     /// The photograph if it is decoded; it becomes the one that was used last.
     fn ready(&mut self, key: Key) -> Option<Arc<Photo>> {
         self.touch(key);
@@ -262,13 +272,13 @@ impl State {
 }
 
 /// An entry that is being decoded; it goes where decoding ends in a panic, so that nobody waits for ever.
-struct Pending<'a> {
-    shared: &'a Shared,
+struct PendingDecode<'a> {
+    shared: &'a SharedCache,
     key: Key,
     generation: u64,
 }
 
-impl Pending<'_> {
+impl PendingDecode<'_> {
     fn finish(self, photo: Arc<Photo>) {
         let mut state = self.shared.lock();
         if state.generation == self.generation
@@ -279,7 +289,7 @@ impl Pending<'_> {
     }
 }
 
-impl Drop for Pending<'_> {
+impl Drop for PendingDecode<'_> {
     fn drop(&mut self) {
         let mut state = self.shared.lock();
         let is_undecoded = state.entries.get(&self.key).is_some_and(|entry| entry.photo.is_none());

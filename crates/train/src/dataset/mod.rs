@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use cache::PhotoCache;
 use relume_capture::{Capture, CaptureView};
-use relume_engine::{LightTurn, LightTurns, Photo, PhotoSize};
+use relume_engine::{LightRotation, LightRotations, Photo, PhotoSize};
 use relume_scene::Camera;
 use relume_spec::training::TrainConfig;
 use stored_photo::StoredPhoto;
@@ -38,7 +38,7 @@ pub struct Dataset {
     /// Background the photographs are composited over.
     pub background: [f32; 3],
     /// Turns of the photographs' light.
-    pub turns: LightTurns,
+    pub rotations: LightRotations,
     /// True when the photographs have masks.
     pub has_alpha: bool,
     /// Names of the photographs.
@@ -54,8 +54,8 @@ impl Dataset {
         // Without a mask nothing shows through.
         let background = if has_alpha { WHITE } else { [0.0; 3] };
         let degrees = |view: &CaptureView| if config.light_rotations { view.light_rotation_deg } else { 0.0 };
-        let (turns, lights) = LightTurns::of(&capture.train.iter().map(degrees).collect::<Vec<_>>());
-        let photo = |(view, light): (&CaptureView, &LightTurn)| {
+        let (rotations, lights) = LightRotations::of(&capture.train.iter().map(degrees).collect::<Vec<_>>());
+        let photo = |(view, light): (&CaptureView, &LightRotation)| {
             let sizes = [2, 1].map(|divisor| reduced_size(view, config.resolution, divisor));
             let camera =
                 |(width, height)| view.camera.resized(width, height).in_normalised_world(scale, offset);
@@ -66,7 +66,7 @@ impl Dataset {
         let photos: Vec<_> = capture.train.par_iter().zip(&lights).map(photo).collect();
         let names = capture.train.iter().map(|view| view.name.clone()).collect();
         let cache = PhotoCache::new(cache_bytes(photos.iter().map(|p| p.decoded_bytes(PhotoSize::Full))));
-        Self { photos, cache, scale, offset, background, turns, has_alpha, names }
+        Self { photos, cache, scale, offset, background, rotations, has_alpha, names }
     }
 
     /// Opaque photographs whose pixels a test has made, at 16 bits.
@@ -88,7 +88,7 @@ impl Dataset {
             scale: 1.0,
             offset: glam::DVec3::ZERO,
             background: WHITE,
-            turns: LightTurns::default(),
+            rotations: LightRotations::default(),
             has_alpha: false,
             names: Vec::new(),
         }
@@ -130,26 +130,26 @@ impl Dataset {
     }
 
     /// Photograph `index` at `size` without its pixels.
-    pub fn outline(&self, index: usize, size: PhotoSize) -> Photo {
-        self.photos[index].outline(size)
+    pub fn without_pixels(&self, index: usize, size: PhotoSize) -> Photo {
+        self.photos[index].without_pixels(size)
     }
 
     /// Has the photographs that the next steps need decoded meanwhile.
-    pub fn expect(&self, next: impl Iterator<Item = (usize, PhotoSize)>) {
-        self.cache.expect(next.map(|key| (key, self.photos[key.0].clone())));
+    pub fn prefetch(&self, next: impl Iterator<Item = (usize, PhotoSize)>) {
+        self.cache.prefetch(next.map(|key| (key, self.photos[key.0].clone())));
     }
 
     /// Photograph `index` at `size`, for a look: it is not kept.
-    pub fn look(&self, index: usize, size: PhotoSize) -> Arc<Photo> {
+    pub fn decode_uncached(&self, index: usize, size: PhotoSize) -> Arc<Photo> {
         self.cache.peek((index, size)).unwrap_or_else(|| Arc::new(self.photos[index].decoded(size)))
     }
 
     /// Shows `act` all photographs at `size`, in order. As many as there are threads are decoded at a time.
-    pub fn walk(&self, size: PhotoSize, mut act: impl FnMut(usize, &Photo)) {
+    pub fn for_each_photo(&self, size: PhotoSize, mut act: impl FnMut(usize, &Photo)) {
         let at_once = rayon::current_num_threads().max(1);
         for first in (0..self.len()).step_by(at_once) {
             let indices = first..self.len().min(first + at_once);
-            let photos: Vec<_> = indices.into_par_iter().map(|i| self.look(i, size)).collect();
+            let photos: Vec<_> = indices.into_par_iter().map(|i| self.decode_uncached(i, size)).collect();
             photos.iter().enumerate().for_each(|(k, photo)| act(first + k, photo));
         }
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::dataset::gain::{Gain, divide};
-use relume_engine::{LightTurn, Photo, PhotoSize};
+use relume_engine::{LightRotation, Photo, PhotoSize};
 use relume_scene::{Camera, ImageRgba, PackedImage};
 
 /// A photograph at the configured resolution: its integers, and all that is done to them when it is decoded.
@@ -14,7 +14,7 @@ pub struct StoredPhoto {
     /// Cameras at half and at the full configured resolution, normalised world.
     pub cameras: [Camera; 2],
     /// How the light stood in it.
-    pub light: LightTurn,
+    pub light: LightRotation,
     /// Mask of a subject that was cut out, levels of 1/255, row-major; in place of the image's own alpha.
     pub mask: Option<Arc<[u8]>>,
     /// Gains it is divided by, in order.
@@ -49,7 +49,7 @@ impl StoredPhoto {
     }
 
     /// The photograph at `size` without its pixels.
-    pub fn outline(&self, size: PhotoSize) -> Photo {
+    pub fn without_pixels(&self, size: PhotoSize) -> Photo {
         Photo { camera: *self.camera(size), pixels: Vec::new(), alpha: Vec::new(), light: self.light }
     }
 
@@ -63,7 +63,7 @@ impl StoredPhoto {
             let reduced = ImageRgba::reduced(stored, (camera.width, camera.height), |i| self.pixel(i));
             self.composited(reduced.pixels.into_iter())
         };
-        let mut photo = Photo { pixels, alpha, ..self.outline(size) };
+        let mut photo = Photo { pixels, alpha, ..self.without_pixels(size) };
         self.gains.iter().for_each(|gain| divide(&mut photo, *gain, self.background));
         photo
     }
@@ -110,7 +110,7 @@ mod tests {
         StoredPhoto {
             image: PackedImage::new(image, BitDepth::Eight),
             cameras: [camera.resized(4, 3), camera],
-            light: LightTurn::default(),
+            light: LightRotation::default(),
             mask: None,
             gains: Vec::new(),
             background,

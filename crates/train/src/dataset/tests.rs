@@ -54,11 +54,14 @@ fn photographs_equal_the_capture_images_exactly() {
     for (i, view) in capture.train.iter().enumerate() {
         let image = view.image.decoded();
         assert_eq!(data.photo(i, PhotoSize::Full).pixels, image.over(WHITE));
-        assert_eq!(data.look(i, PhotoSize::Half).pixels, image.resized(SIDE / 2, SIDE / 2).over(WHITE));
+        assert_eq!(
+            data.decode_uncached(i, PhotoSize::Half).pixels,
+            image.resized(SIDE / 2, SIDE / 2).over(WHITE)
+        );
         assert_eq!(data.camera(i, PhotoSize::Half).width, SIDE / 2);
     }
     let mut seen = Vec::new();
-    data.walk(PhotoSize::Full, |i, photo| seen.push((i, photo.pixels.clone())));
+    data.for_each_photo(PhotoSize::Full, |i, photo| seen.push((i, photo.pixels.clone())));
     assert_eq!(seen.len(), VIEWS);
     assert!(seen.iter().enumerate().all(|(i, (k, _))| i == *k));
     assert_eq!(seen[4].1, data.photo(4, PhotoSize::Full).pixels);
@@ -85,7 +88,7 @@ fn asked(order: &[usize], bound: usize) -> DecodingStats {
     let exact: Vec<Photo> = data.photos.iter().map(|photo| photo.decoded(PhotoSize::Full)).collect();
     for (at, i) in order.iter().enumerate() {
         assert_eq!(data.photo(*i, PhotoSize::Full).pixels, exact[*i].pixels);
-        data.expect(order[at + 1..].iter().take(3).map(|next| (*next, PhotoSize::Full)));
+        data.prefetch(order[at + 1..].iter().take(3).map(|next| (*next, PhotoSize::Full)));
         assert!(data.cache.held() <= bound);
     }
     data.decoding()
@@ -121,7 +124,7 @@ fn least_recently_used_photograph_is_evicted_first() {
 fn prefetched_photograph_is_decoded_before_it_is_requested() {
     let data = dataset(&capture(true), SIDE);
     let start = std::time::Instant::now();
-    data.expect([(3, PhotoSize::Half)].into_iter());
+    data.prefetch([(3, PhotoSize::Half)].into_iter());
     while data.cache.peek((3, PhotoSize::Half)).is_none() {
         assert!(start.elapsed().as_secs() < 60, "nobody decodes it");
         std::thread::yield_now();

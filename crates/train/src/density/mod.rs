@@ -12,13 +12,13 @@ use relume_engine::{DensityPlan, DensitySignals, PlannedGaussian, SplitOrigin};
 /// Mean absgrad (half image widths) above which a Gaussian may be split.
 const SPLIT_ABSGRAD: f32 = 4e-4;
 /// Opacity below which a Gaussian is dropped.
-const LEAST_OPACITY: f32 = 0.008;
+const MIN_OPACITY: f32 = 0.008;
 /// Standard deviation above which a Gaussian is dropped, scene radii.
-const MOST_SCALE: f32 = 0.5;
+const MAX_SCALE: f32 = 0.5;
 /// Without masks, distance to a camera below which a Gaussian is dropped, scene radii.
 const CAMERA_CLEARANCE: f32 = 0.2;
 /// Most growth of one round, as a share.
-const MOST_GROWTH: f32 = 0.25;
+const MAX_GROWTH: f32 = 0.25;
 
 /// Drops Gaussians of little opacity or excessive size, and splits those of largest absgrad while the budget lasts. The next
 /// generation is in the order of [`order`]; where `signals` have no means, in that of the sources, second halves last.
@@ -29,7 +29,7 @@ pub fn plan(signals: &DensitySignals, budget: usize, camera_centres: Option<&[[f
     let n = signals.opacity_logits.len();
     let stats = &signals.stats;
     let kept: Vec<usize> = (0..n).filter(|&i| !is_dropped(signals, i, camera_centres)).collect();
-    let growth = budget.saturating_sub(kept.len()).min((kept.len() as f32 * MOST_GROWTH) as usize + 8);
+    let growth = budget.saturating_sub(kept.len()).min((kept.len() as f32 * MAX_GROWTH) as usize + 8);
     let mut candidates: Vec<(f32, usize)> = kept
         .iter()
         .map(|&i| (stats.absgrad[i] / stats.seen[i].max(1.0), i))
@@ -53,7 +53,7 @@ pub fn plan(signals: &DensitySignals, budget: usize, camera_centres: Option<&[[f
 fn is_dropped(signals: &DensitySignals, i: usize, camera_centres: Option<&[[f32; 3]]>) -> bool {
     let largest = signals.log_scales[i].into_iter().fold(f32::NEG_INFINITY, f32::max);
     let is_misplaced = match camera_centres {
-        None => largest > MOST_SCALE.ln(),
+        None => largest > MAX_SCALE.ln(),
         Some(centres) => {
             let mean = signals.means[i];
             let is_near = |centre: &[f32; 3]| {
@@ -62,7 +62,7 @@ fn is_dropped(signals: &DensitySignals, i: usize, camera_centres: Option<&[[f32;
             centres.iter().any(is_near)
         }
     };
-    sigmoid(signals.opacity_logits[i]) < LEAST_OPACITY || is_misplaced
+    sigmoid(signals.opacity_logits[i]) < MIN_OPACITY || is_misplaced
 }
 
 #[cfg(test)]

@@ -39,7 +39,7 @@ fn state(gaussians: Gaussians, density: DensityStats) -> TrainState {
 }
 
 /// A training of that state on the CPU engine.
-fn training(state: TrainState) -> Box<dyn relume_engine::Training> {
+fn training(state: TrainState) -> Box<dyn relume_engine::TrainingEngine> {
     let operators = Arc::new(EnvOperators::new(4, 2, 0, TableResolution::TRAINING));
     let limits = TrainingLimits { resolution: 1, pixels: 1, max_gaussians: 16, probe_directions: 8 };
     Device::Cpu.training(state, &operators, &limits).unwrap()

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
 use crate::eval::image::DisplayImage;
 use crate::eval::sheet::{Sheet, error_map, grey};
-use crate::eval::views::{OwnLight, ViewLayers, photograph, relit, shown_by};
+use crate::eval::views::{RecoveredLight, ViewLayers, photograph, relit, shown_by};
 use crate::render::{PreparedLight, Renderer};
 use relume_capture::{Capture, CaptureView};
 use relume_engine::Device;
@@ -32,7 +32,7 @@ pub fn contact_sheet(
     }
     let lights = lights_of(&views, capture);
     let renderer = Renderer::on(model, device)?;
-    let mut own = OwnLight::default();
+    let mut own = RecoveredLight::default();
     let mut prepared: Vec<(&str, PreparedLight)> = Vec::with_capacity(lights.len());
     for name in &lights {
         prepared.push((*name, renderer.prepare_light(&capture.lights[*name])?));

@@ -13,7 +13,7 @@ const PANELS: usize = 3;
 
 /// A stack of feature maps: channel-major, then rows.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Maps {
+pub(crate) struct FeatureMaps {
     pub(crate) channels: usize,
     pub(crate) height: usize,
     pub(crate) width: usize,
@@ -55,7 +55,7 @@ impl Conv {
     }
 
     /// Applies the convolution and ReLU. The padded input is at least the kernel's size.
-    pub(crate) fn apply(&self, input: &Maps) -> Maps {
+    pub(crate) fn apply(&self, input: &FeatureMaps) -> FeatureMaps {
         let size = |n: usize| (n + 2 * self.padding - self.kernel) / self.stride + 1;
         let (width, height) = (size(input.width), size(input.height));
         let (area, strip) = (width * height, PIXELS * PANELS);
@@ -71,11 +71,11 @@ impl Conv {
                 values[start..start + pixels].copy_from_slice(&row[..pixels]);
             }
         }
-        Maps { channels: self.outputs, height, width, values }
+        FeatureMaps { channels: self.outputs, height, width, values }
     }
 
     /// All output channels of one strip of output pixels, `[channel][PIXELS * PANELS]`.
-    fn strip(&self, input: &Maps, width: usize, pixels: std::ops::Range<usize>) -> Vec<f32> {
+    fn strip(&self, input: &FeatureMaps, width: usize, pixels: std::ops::Range<usize>) -> Vec<f32> {
         let taps = self.inputs * self.kernel * self.kernel;
         let patches = self.patches(input, width, pixels, taps);
         let groups = self.outputs.div_ceil(CHANNELS);
@@ -97,7 +97,13 @@ impl Conv {
     }
 
     /// The receptive field of each pixel of the strip, `[panel][tap][PIXELS]`; zero outside the input.
-    fn patches(&self, input: &Maps, width: usize, pixels: std::ops::Range<usize>, taps: usize) -> Vec<f32> {
+    fn patches(
+        &self,
+        input: &FeatureMaps,
+        width: usize,
+        pixels: std::ops::Range<usize>,
+        taps: usize,
+    ) -> Vec<f32> {
         let mut out = vec![0.0; PANELS * taps * PIXELS];
         for (slot, pixel) in pixels.enumerate() {
             let (panel, lane) = (slot / PIXELS, slot % PIXELS);
@@ -134,7 +140,7 @@ fn inner_product(weights: &[f32], patch: &[f32]) -> [[f32; PIXELS]; CHANNELS] {
 }
 
 /// Max pooling with a 3x3 window and stride 2, no padding. The input is at least 3x3.
-pub(crate) fn max_pool(input: &Maps) -> Maps {
+pub(crate) fn max_pool(input: &FeatureMaps) -> FeatureMaps {
     let (height, width) = ((input.height - 3) / 2 + 1, (input.width - 3) / 2 + 1);
     let at = |c: usize, y: usize, x: usize| input.values[(c * input.height + y) * input.width + x];
     let mut values = Vec::with_capacity(input.channels * height * width);
@@ -146,20 +152,27 @@ pub(crate) fn max_pool(input: &Maps) -> Maps {
             }
         }
     }
-    Maps { channels: input.channels, height, width, values }
+    FeatureMaps { channels: input.channels, height, width, values }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn ramp(channels: usize, height: usize, width: usize) -> Maps {
+    fn ramp(channels: usize, height: usize, width: usize) -> FeatureMaps {
         let values = (0..channels * height * width).map(|i| ((i * 37) % 23) as f32 - 9.0).collect();
-        Maps { channels, height, width, values }
+        FeatureMaps { channels, height, width, values }
     }
 
     /// The definition, with no blocking.
-    fn plainly(input: &Maps, weights: &[f32], bias: &[f32], k: usize, stride: usize, pad: usize) -> Vec<f32> {
+    fn plainly(
+        input: &FeatureMaps,
+        weights: &[f32],
+        bias: &[f32],
+        k: usize,
+        stride: usize,
+        pad: usize,
+    ) -> Vec<f32> {
         let size = |n: usize| (n + 2 * pad - k) / stride + 1;
         let mut out = Vec::new();
         for (o, b) in bias.iter().enumerate() {
@@ -196,7 +209,8 @@ mod tests {
 
     #[test]
     fn max_pooling_takes_the_maximum_of_nine_values() {
-        let input = Maps { channels: 1, height: 3, width: 5, values: (0..15).map(|v| v as f32).collect() };
+        let input =
+            FeatureMaps { channels: 1, height: 3, width: 5, values: (0..15).map(|v| v as f32).collect() };
         assert_eq!(max_pool(&input).values, vec![12.0, 14.0]);
     }
 }

@@ -9,7 +9,9 @@ use crate::eval::layers::albedo_psnr;
 use crate::eval::lpips::Lpips;
 use crate::eval::report::{AlbedoScores, ImageScores, RelitScores, Report};
 use crate::eval::totals::{ImageTotals, LayerTotals, Mean};
-use crate::eval::views::{OwnLight, ViewLayers, is_cropped, photograph, relit, shown_by, with_scaled_albedo};
+use crate::eval::views::{
+    RecoveredLight, ViewLayers, is_cropped, photograph, relit, shown_by, with_scaled_albedo,
+};
 use crate::render::{RenderError, Renderer};
 use relume_capture::{Capture, CaptureView};
 use relume_engine::Device;
@@ -123,12 +125,12 @@ impl Evaluation<'_> {
             training_seconds: model.card.get("training_seconds").and_then(serde_json::Value::as_f64),
             ..Report::default()
         };
-        self.own_light(&renderer, &mut report)?;
+        self.under_recovered_light(&renderer, &mut report)?;
         let has_materials = model.has_materials();
         if has_materials {
             report.relit = self.relit(&renderer)?;
         } else {
-            forget_materials(&mut report);
+            clear_material_scores(&mut report);
         }
         if let Some(scale) = report.albedo.scale {
             let aligned = Renderer::on(Arc::new(with_scaled_albedo(&model, scale)), self.options.device)?;
@@ -147,8 +149,8 @@ impl Evaluation<'_> {
     }
 
     /// Novel views and layers under the light the model recovered, turned as it stood in each photograph.
-    fn own_light(&self, renderer: &Renderer, report: &mut Report) -> Result<(), EvalError> {
-        let mut own = OwnLight::default();
+    fn under_recovered_light(&self, renderer: &Renderer, report: &mut Report) -> Result<(), EvalError> {
+        let mut own = RecoveredLight::default();
         let (mut shaded, mut radiance) = (ImageTotals::default(), ImageTotals::default());
         let (mut shaded_matched, mut radiance_matched) = (ImageTotals::default(), ImageTotals::default());
         let mut totals = LayerTotals::default();
@@ -326,7 +328,7 @@ impl Evaluation<'_> {
 }
 
 /// Takes back what was measured on materials that were never trained.
-fn forget_materials(report: &mut Report) {
+fn clear_material_scores(report: &mut Report) {
     report.novel_view = ImageScores::default();
     report.novel_view_matched = ImageScores::default();
     report.albedo = AlbedoScores::default();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use safetensors::SafeTensors;
 use safetensors::tensor::Dtype;
 
-use crate::eval::conv::{Conv, Maps, max_pool};
+use crate::eval::conv::{Conv, FeatureMaps, max_pool};
 use crate::eval::image::DisplayImage;
 
 /// The network's input normalisation, for RGB in [-1, 1].
@@ -91,11 +91,11 @@ impl Lpips {
     }
 
     /// The activations after each of the five convolutions.
-    fn features(&self, picture: &DisplayImage) -> Vec<Maps> {
+    fn features(&self, picture: &DisplayImage) -> Vec<FeatureMaps> {
         let normalised = |k: usize| {
             picture.values.iter().map(move |p| (2.0 * p[k].clamp(0.0, 1.0) - 1.0 - SHIFT[k]) / SCALE[k])
         };
-        let mut maps = Maps {
+        let mut maps = FeatureMaps {
             channels: 3,
             height: picture.height as usize,
             width: picture.width as usize,
@@ -115,7 +115,7 @@ impl Lpips {
 }
 
 /// Mean over pixels of the weighted squared difference of unit feature vectors.
-fn layer_distance(a: &Maps, b: &Maps, head: &[f32]) -> f64 {
+fn layer_distance(a: &FeatureMaps, b: &FeatureMaps, head: &[f32]) -> f64 {
     let area = a.width * a.height;
     let (norm_a, norm_b) = (norms(a), norms(b));
     let mut sum = 0.0;
@@ -129,7 +129,7 @@ fn layer_distance(a: &Maps, b: &Maps, head: &[f32]) -> f64 {
 }
 
 /// Each pixel's feature length, never zero.
-fn norms(maps: &Maps) -> Vec<f64> {
+fn norms(maps: &FeatureMaps) -> Vec<f64> {
     let mut squares = vec![0.0f64; maps.width * maps.height];
     for channel in maps.values.chunks_exact(squares.len()) {
         squares.iter_mut().zip(channel).for_each(|(s, v)| *s += f64::from(*v).powi(2));

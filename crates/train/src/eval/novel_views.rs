@@ -7,7 +7,7 @@ use crate::eval::evaluate::{check_sizes, refused};
 use crate::eval::exposure::matched;
 use crate::eval::report::ImageScores;
 use crate::eval::totals::ImageTotals;
-use crate::eval::views::{OwnLight, ViewLayers, shown_by};
+use crate::eval::views::{RecoveredLight, ViewLayers, shown_by};
 use crate::render::Renderer;
 use relume_capture::CaptureView;
 use relume_engine::Device;
@@ -17,7 +17,7 @@ use relume_spec::rendering::Quality;
 /// A comparison of a model with photographs, as in [`crate::eval::evaluate`], without LPIPS.
 pub struct NovelViews {
     renderer: Renderer,
-    light: OwnLight,
+    light: RecoveredLight,
     quality: Quality,
     has_materials: bool,
     shaded: ImageTotals,
@@ -45,7 +45,7 @@ impl NovelViews {
         Ok(Self {
             has_materials: model.has_materials(),
             renderer: Renderer::on(model, device)?,
-            light: OwnLight::default(),
+            light: RecoveredLight::default(),
             quality,
             shaded: ImageTotals::default(),
             radiance: ImageTotals::default(),

@@ -36,12 +36,12 @@ const LAYERS: [Output; 8] = [
 
 /// The light a model recovered, as it stood in a test view.
 #[derive(Default)]
-pub(crate) struct OwnLight {
+pub(crate) struct RecoveredLight {
     /// Degrees, and the light turned by them; that of the last view.
     prepared: Option<(f64, PreparedLight)>,
 }
 
-impl OwnLight {
+impl RecoveredLight {
     /// The light of `view`; prepared anew only where it stood otherwise in the view before.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use relume_scene::{Field, Gaussians};
 
 /// Neighbours that each Gaussian is compared with.
-const NEAREST: usize = 6;
+const NEIGHBOUR_COUNT: usize = 6;
 /// Rounds of smoothing: the colour of a pixel is that of several Gaussians, and one alone says little.
 const ROUNDS: usize = 2;
 
@@ -40,7 +40,7 @@ impl Neighbours {
             }
             near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             let weight = |j: u32| weights[i as usize].min(weights[j as usize]);
-            pairs.extend(near.iter().take(NEAREST).map(|(_, j)| (i, *j, weight(*j))));
+            pairs.extend(near.iter().take(NEIGHBOUR_COUNT).map(|(_, j)| (i, *j, weight(*j))));
         }
         let total = pairs.iter().map(|(_, _, w)| f64::from(*w)).sum::<f64>().max(1e-12);
         Self { pairs, total, weights: weights.to_vec() }

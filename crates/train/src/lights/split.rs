@@ -4,7 +4,7 @@ use std::f32::consts::PI;
 
 use glam::DVec3;
 
-use crate::lights::found::FoundLight;
+use crate::lights::detected_light::DetectedLight;
 use relume_engine::upward_share;
 use relume_scene::{LightSplit, MAX_LIGHTS, Model, SplitLight, softplus, softplus_inverse, texel_directions};
 
@@ -37,7 +37,7 @@ pub fn split(lights: &[SplitLight], width: usize, height: usize) -> LightSplit {
 
 /// Starts the light of `model` anew: an even sky and the lights of `split` in their strengths, sending together to a surface
 /// that faces up what the environment sends now.
-pub fn start(model: &mut Model, split: &LightSplit, found: &[FoundLight]) {
+pub fn start(model: &mut Model, split: &LightSplit, found: &[DetectedLight]) {
     let texels = texel_directions(model.env_width, model.env_height);
     let mut up = [0.0f32; 3];
     for (raw, texel) in model.env_raw.iter().zip(&texels) {
@@ -64,8 +64,8 @@ mod tests {
     use super::*;
     use relume_scene::{Gaussians, ShadingOptions};
 
-    fn found(direction: [f32; 3], strength: f32) -> FoundLight {
-        FoundLight { light: SplitLight { direction, radius: 0.005 }, strength: [strength; 3], gain: 0.1 }
+    fn found(direction: [f32; 3], strength: f32) -> DetectedLight {
+        DetectedLight { light: SplitLight { direction, radius: 0.005 }, strength: [strength; 3], gain: 0.1 }
     }
 
     #[test]

@@ -28,7 +28,7 @@ fn plate(strength: f32) -> TrainState {
         g.row_mut(Field::LogScale, i).copy_from_slice(&[f32::ln(*width), f32::ln(*width), -7.0]);
         g.row_mut(Field::Quaternion, i)[0] = 1.0;
         g.row_mut(Field::OpacityLogit, i)[0] = 4.0;
-        g.row_mut(Field::Visibility, i)[0] = FULLY_OPEN;
+        g.row_mut(Field::Visibility, i)[0] = UNOCCLUDED_SH0;
         g.row_mut(Field::Visibility, i)[2] = 0.5;
     }
     let model = Model {
@@ -50,7 +50,7 @@ fn plate(strength: f32) -> TrainState {
     let field = probes.coefficients(4);
     state.model.gaussians.field_mut(Field::Visibility).copy_from_slice(&field);
     let sun = evaluation::arriving(&state, &[SplitLight { direction: SUN, radius: 0.0 }]);
-    let sky = Scene::new(&state, &from_above(&state)).sky();
+    let sky = LightSearch::new(&state, &from_above(&state)).sky();
     for i in 0..sky.len() {
         let shown = srgb((0.1 * (sky[i][0] + strength * sun[i][0] * SUN[2])).min(0.9));
         state.model.gaussians.row_mut(Field::Radiance, i).fill((shown - 0.5) / 0.282_094_8);

@@ -7,19 +7,19 @@ use relume_engine::cpu::{AttributeSource, SurfaceShader};
 use relume_engine::fibonacci_sphere;
 use relume_scene::light::sh_eval;
 use relume_scene::{Field, Model, VisibilityForm, sh_count};
-use relume_spec::rendering::MOST_BAKED_DEGREE;
+use relume_spec::rendering::MAX_BAKED_DEGREE;
 
-const MOST: usize = sh_count(MOST_BAKED_DEGREE);
+const MAX_COEFFICIENTS: usize = sh_count(MAX_BAKED_DEGREE);
 /// Directions in which each Gaussian is shaded.
 const DIRECTIONS: usize = 192;
 /// Weight of a direction from which a Gaussian is hidden, so that the fit stays determined.
-const LEAST_WEIGHT: f64 = 0.02;
+const MIN_WEIGHT: f64 = 0.02;
 
 impl Renderer {
     /// The model with a radiance branch that shows it under `light`: for each Gaussian the harmonics of `degree` (at most
-    /// [`MOST_BAKED_DEGREE`]) nearest to its sRGB-encoded shaded colour, in the mean over the directions from which it is seen.
+    /// [`MAX_BAKED_DEGREE`]) nearest to its sRGB-encoded shaded colour, in the mean over the directions from which it is seen.
     pub fn baked(&self, light: &PreparedLight, degree: usize) -> Model {
-        let degree = degree.min(MOST_BAKED_DEGREE);
+        let degree = degree.min(MAX_BAKED_DEGREE);
         let frames = self.frames.on_cpu();
         let on_cpu = self.light_on_cpu(light);
         let (source, shader) = (frames.lit_source(on_cpu), frames.shader(&on_cpu.tables));
@@ -44,12 +44,13 @@ fn fit(
     out: &mut [f32],
 ) {
     let count = sh_count(degree);
-    let (mut matrix, mut right) = ([[0.0f64; MOST]; MOST], [[0.0f64; 3]; MOST]);
+    let (mut matrix, mut right) =
+        ([[0.0f64; MAX_COEFFICIENTS]; MAX_COEFFICIENTS], [[0.0f64; 3]; MAX_COEFFICIENTS]);
     for along in directions {
         let sent = source.outgoing(i, *along, shader).total();
         let shown = sent.map(|c| f64::from(relume_scene::srgb::encode(c)) - 0.5);
-        let weight = seen_from(source, i, along.map(|a| -a)).max(LEAST_WEIGHT);
-        let mut y = [0.0f64; MOST];
+        let weight = seen_from(source, i, along.map(|a| -a)).max(MIN_WEIGHT);
+        let mut y = [0.0f64; MAX_COEFFICIENTS];
         sh_eval(degree, along.map(f64::from), &mut y);
         for j in 0..count {
             (0..=j).for_each(|k| matrix[j][k] += weight * y[j] * y[k]);
@@ -67,7 +68,7 @@ fn seen_from(source: &AttributeSource<'_>, i: usize, direction: [f32; 3]) -> f64
     }
     let coefficients = source.gaussians.row(Field::Visibility, i);
     let mut y = [0.0f32; 81];
-    sh_eval(source.gaussians.visibility_order(), direction, &mut y);
+    sh_eval(source.gaussians.visibility_degree(), direction, &mut y);
     let raw: f32 = coefficients.iter().zip(y).map(|(c, y)| c * y).sum();
     f64::from(match source.options.visibility {
         VisibilityForm::Sigmoid => 1.0 / (1.0 + (-raw).exp()),
@@ -77,7 +78,11 @@ fn seen_from(source: &AttributeSource<'_>, i: usize, direction: [f32; 3]) -> f64
 
 /// Solves `matrix x = right` for the first `count` unknowns into `right`, by Cholesky's method; the lower half of a symmetric
 /// positive `matrix` is read.
-fn solve(matrix: &mut [[f64; MOST]; MOST], right: &mut [[f64; 3]; MOST], count: usize) {
+fn solve(
+    matrix: &mut [[f64; MAX_COEFFICIENTS]; MAX_COEFFICIENTS],
+    right: &mut [[f64; 3]; MAX_COEFFICIENTS],
+    count: usize,
+) {
     for j in 0..count {
         for k in 0..=j {
             let below: f64 = (0..k).map(|n| matrix[j][n] * matrix[k][n]).sum();
@@ -135,17 +140,18 @@ mod tests {
     fn baking_error(baked: f32, shaded: f32) -> f64 {
         let renderer = Renderer::new(Arc::new(model()));
         let light = |level: f32| renderer.prepare_light(&EnvMap::constant(16, 8, [level; 3])).unwrap();
-        let model = renderer.baked(&light(baked), MOST_BAKED_DEGREE);
+        let model = renderer.baked(&light(baked), MAX_BAKED_DEGREE);
         let light = light(shaded);
         let on_cpu = renderer.light_on_cpu(&light);
         let (frames, coefficients) = (renderer.frames.on_cpu(), model.gaussians.row(Field::Radiance, 0));
         let source: AttributeSource<'_> = frames.lit_source(on_cpu);
         let differs = |along: [f32; 3]| {
             let sent = source.outgoing(0, along, &frames.shader(&on_cpu.tables)).total();
-            let mut y = [0.0f32; MOST];
-            sh_eval(MOST_BAKED_DEGREE, along, &mut y);
-            let shown: [f32; 3] =
-                std::array::from_fn(|c| 0.5 + (0..MOST).map(|j| coefficients[3 * j + c] * y[j]).sum::<f32>());
+            let mut y = [0.0f32; MAX_COEFFICIENTS];
+            sh_eval(MAX_BAKED_DEGREE, along, &mut y);
+            let shown: [f32; 3] = std::array::from_fn(|c| {
+                0.5 + (0..MAX_COEFFICIENTS).map(|j| coefficients[3 * j + c] * y[j]).sum::<f32>()
+            });
             largest_difference(&shown, &sent.map(|v| srgb(v.clamp(0.0, 1.0))))
         };
         let directions = [[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.48, 0.64, 0.6]];
@@ -161,7 +167,8 @@ mod tests {
 
     #[test]
     fn symmetric_linear_system_is_solved() {
-        let (mut matrix, mut right) = ([[0.0; MOST]; MOST], [[0.0; 3]; MOST]);
+        let (mut matrix, mut right) =
+            ([[0.0; MAX_COEFFICIENTS]; MAX_COEFFICIENTS], [[0.0; 3]; MAX_COEFFICIENTS]);
         let rows = [[4.0, 1.0, 0.5], [1.0, 3.0, -1.0], [0.5, -1.0, 2.0]];
         let wanted = [[1.0, 0.0, 0.0], [-2.0, 0.0, 0.6], [3.0, 0.0, 0.8]];
         for j in 0..3 {

@@ -3,8 +3,8 @@
 
 use std::collections::BTreeMap;
 
+use crate::render::cpu_frame_job::CpuFrameJob;
 use crate::render::error::RenderError;
-use crate::render::job::Job;
 use crate::render::renderer::{PreparedLight, Renderer};
 use crate::render::{Frame, high, monte_carlo};
 use relume_engine::{DeviceError, FrameJob, RasterCamera, RayLight};
@@ -119,7 +119,7 @@ impl Bands<'_> {
                 self.render_by_rays(&job, first)?
             }
             Tier::High => {
-                let split = light.split(renderer.model().gaussians.visibility_order());
+                let split = light.split(renderer.model().gaussians.visibility_degree());
                 high::render(&self.on_cpu(job), split, renderer.occluders())
             }
             Tier::MonteCarlo => {
@@ -139,7 +139,7 @@ impl Bands<'_> {
                 seed: quality.seed,
                 pixels_before: pixels_before(&job.view, first),
             }),
-            _ => light.split(frames.model().gaussians.visibility_order()).rays(),
+            _ => light.split(frames.model().gaussians.visibility_degree()).rays(),
         };
         match rays {
             Some(rays) => frames.render_by_rays(job, &light.frame, &rays),
@@ -148,9 +148,9 @@ impl Bands<'_> {
         }
     }
 
-    fn on_cpu<'b>(&'b self, frame: FrameJob<'b>) -> Job<'b> {
+    fn on_cpu<'b>(&'b self, frame: FrameJob<'b>) -> CpuFrameJob<'b> {
         let (cpu, light) = (self.renderer.frames.on_cpu(), self.renderer.light_on_cpu(self.light));
-        Job { source: cpu.lit_source(light), shader: cpu.shader(&light.tables), frame }
+        CpuFrameJob { source: cpu.lit_source(light), shader: cpu.shader(&light.tables), frame }
     }
 }
 
@@ -185,7 +185,7 @@ mod tests {
             gaussians.row_mut(Field::LogScale, i).fill(0.12f32.ln());
             gaussians.row_mut(Field::Quaternion, i)[0] = 1.0;
             gaussians.row_mut(Field::OpacityLogit, i)[0] = 4.0;
-            gaussians.row_mut(Field::Visibility, i)[0] = relume_scene::light::FULLY_OPEN;
+            gaussians.row_mut(Field::Visibility, i)[0] = relume_scene::light::UNOCCLUDED_SH0;
         }
         Renderer::new(Arc::new(Model {
             gaussians,
@@ -249,7 +249,7 @@ mod tests {
             let cost = (rows * width) as u64 * quality.pixel_cost();
             assert!(cost <= Quality::BAND_COST || rows == TILE, "{width} {quality:?}: {rows} rows");
         }
-        assert_eq!(rows(1 << 16, Quality::monte_carlo(Quality::MOST_SAMPLES), Quality::BAND_COST), TILE);
+        assert_eq!(rows(1 << 16, Quality::monte_carlo(Quality::MAX_SAMPLES), Quality::BAND_COST), TILE);
         assert!(
             rows(1, Tier::Preview.into(), Quality::CPU_BAND_COST) >= 1 << 16,
             "a narrow frame is one band"

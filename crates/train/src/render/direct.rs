@@ -3,24 +3,24 @@
 use rayon::prelude::*;
 
 use relume_engine::cpu::{
-    AttributeSource, Occluders, Pass, Surface, attribute_rows, blended_radiance, normalise, reflector,
+    AttributeSource, OccluderBvh, Pass, Surface, attribute_rows, blended_radiance, normalise, reflector,
     surface_at, surface_points,
 };
 use relume_engine::towards_light;
 use relume_layout::channel::{COVERAGE, Channels, OutgoingRadiance, RowLight};
-use relume_layout::constants::{EarlyStop, LEAST_COVERAGE, SHADOW_PLACES};
+use relume_layout::constants::{EarlyStop, MIN_COVERAGE, SHADOW_SAMPLE_OFFSETS};
 use relume_scene::light::{DominantLight, Sheen, TableLight};
 use relume_scene::{Field, ShadeAt, SplitLight};
 
 /// What every pixel sends of one light that nothing hides.
-pub(super) enum Unhidden<'a> {
+pub(super) enum UnshadowedLight<'a> {
     /// Reflected where Gaussians are, and blended.
     AtGaussians(Box<Pass>),
     /// Reflected by the surface that a pixel sees.
     InPixels(&'a Pass, &'a DominantLight),
 }
 
-impl<'a> Unhidden<'a> {
+impl<'a> UnshadowedLight<'a> {
     /// Of `light`, where the model of `source` is shaded; `pass` has the G-buffer.
     pub(super) fn new(source: &AttributeSource<'_>, pass: &'a Pass, light: &'a DominantLight) -> Self {
         match source.options.shade_at {
@@ -35,7 +35,7 @@ impl<'a> Unhidden<'a> {
             Self::AtGaussians(pass) => pass,
             Self::InPixels(pass, _) => pass,
         };
-        if !(pass.at(x, y, COVERAGE) >= LEAST_COVERAGE) {
+        if !(pass.at(x, y, COVERAGE) >= MIN_COVERAGE) {
             return None;
         }
         let sent = match self {
@@ -81,20 +81,20 @@ fn reflect(surface: &Surface, light: &DominantLight) -> OutgoingRadiance {
 /// Which share of one light arrives at what a pixel sees.
 pub(super) struct PixelShadows<'a> {
     pass: &'a Pass,
-    occluders: &'a Occluders,
+    occluders: &'a OccluderBvh,
     directions: Vec<[f32; 3]>,
 }
 
 impl<'a> PixelShadows<'a> {
     /// The shadows that the Gaussians of `occluders` cast under `light` on what `pass` shows.
-    pub(super) fn new(pass: &'a Pass, occluders: &'a Occluders, light: &DominantLight) -> Self {
+    pub(super) fn new(pass: &'a Pass, occluders: &'a OccluderBvh, light: &DominantLight) -> Self {
         let directions = towards_light(&SplitLight::from(&TableLight::from(light)));
         Self { pass, occluders, directions }
     }
 
     /// Share in pixel (`x`, `y`), 0 to 1: the mean over rays from places within the pixel to places of the light.
     pub(super) fn share(&self, (x, y): (usize, usize)) -> f32 {
-        let points = surface_points(self.pass, (x, y), SHADOW_PLACES);
+        let points = surface_points(self.pass, (x, y), SHADOW_SAMPLE_OFFSETS);
         let rays = self.directions.len().max(points.len());
         let ray = |i: usize| {
             let (point, direction) = (points[i % points.len()], self.directions[i % self.directions.len()]);

@@ -29,7 +29,7 @@ impl Renderer {
         let options = ShadingOptions { shade_at: ShadeAt::Pixel, ..self.model().shading };
         let source = cpu.lit_source(on_cpu);
         // No light is shaded by itself in the pixel.
-        let tables = light.whole_tables(on_cpu, self.model().gaussians.visibility_order());
+        let tables = light.whole_tables(on_cpu, self.model().gaussians.visibility_degree());
         let shader = SurfaceShader { options: &options, ..cpu.shader(tables) };
         let coefficients = source.gaussians.width(Field::Visibility);
         let pass = Pass::forward(&source, view, Channels::Full(coefficients), EarlyStop::WhenSaturated);

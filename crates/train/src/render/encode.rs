@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use crate::render::{Finish, Frame};
+use crate::render::{EncodeOptions, Frame};
 use relume_capture::formats::ImageFileError;
 use relume_capture::formats::exr_frame::{self, FrameLayer, FrameLayers};
 use relume_capture::formats::image_file::{encode_jpeg, encode_png, encode_png16};
@@ -28,7 +28,7 @@ pub struct EncodedFrame {
 ///   with [`ToneCurve::Linear`]. A background colour is blended on the display.
 /// - `normal`: 16 bit, `(n + 1) / 2`. `metallic`, `roughness`, `visibility`, `alpha`: 8-bit grey, linear.
 /// - `depth`: 16-bit grey, linear between the nearest and farthest depth of the frame.
-/// - EXR: linear, colours in part `beauty` (`rgb` with alpha as `RGBA`), premultiplied unless [`Finish::alpha`] says otherwise,
+/// - EXR: linear, colours in part `beauty` (`rgb` with alpha as `RGBA`), premultiplied unless [`EncodeOptions::alpha`] says otherwise,
 ///   everything else in part `data`, 32-bit floats.
 ///
 /// # Errors
@@ -37,9 +37,9 @@ pub fn encode_frame(
     frame: &Frame,
     outputs: &[Output],
     format: FrameFormat,
-    finish: &Finish,
+    options: &EncodeOptions,
 ) -> Result<EncodedFrame, ImageFileError> {
-    encode_wanted_frame(frame, outputs, format, finish, &|| true)
+    encode_wanted_frame(frame, outputs, format, options, &|| true)
 }
 
 /// The same, for a caller who may go away: an EXR, the one format that takes long, ends early once `is_wanted` says no.
@@ -50,28 +50,28 @@ pub fn encode_wanted_frame(
     frame: &Frame,
     outputs: &[Output],
     format: FrameFormat,
-    finish: &Finish,
+    options: &EncodeOptions,
     is_wanted: &dyn Fn() -> bool,
 ) -> Result<EncodedFrame, ImageFileError> {
     let bare = |bytes| EncodedFrame { bytes, depth_range: None };
     let first = outputs.first().copied().unwrap_or(Output::Rgb);
     match format {
-        FrameFormat::Exr => exr(frame, outputs, finish, is_wanted).map(bare),
-        FrameFormat::Png => png(frame, first, finish),
+        FrameFormat::Exr => exr(frame, outputs, options, is_wanted).map(bare),
+        FrameFormat::Png => png(frame, first, options),
         FrameFormat::Jpeg => {
-            let pixels = over_white(&colour::<u8>(frame, first, finish)?);
+            let pixels = over_white(&colour::<u8>(frame, first, options)?);
             encode_jpeg(frame.width, frame.height, &pixels, JPEG_QUALITY).map(bare)
         }
     }
 }
 
-fn png(frame: &Frame, output: Output, finish: &Finish) -> Result<EncodedFrame, ImageFileError> {
+fn png(frame: &Frame, output: Output, options: &EncodeOptions) -> Result<EncodedFrame, ImageFileError> {
     let (w, h) = (frame.width, frame.height);
     let bare = |bytes| EncodedFrame { bytes, depth_range: None };
     if is_colour(output) {
-        return match finish.tone_curve {
-            ToneCurve::Linear => encode_png16(w, h, &colour::<u16>(frame, output, finish)?).map(bare),
-            _ => encode_png(w, h, &colour::<u8>(frame, output, finish)?).map(bare),
+        return match options.tone_curve {
+            ToneCurve::Linear => encode_png16(w, h, &colour::<u16>(frame, output, options)?).map(bare),
+            _ => encode_png(w, h, &colour::<u8>(frame, output, options)?).map(bare),
         };
     }
     let values = plane(frame, output)?;
@@ -95,7 +95,7 @@ fn plane(frame: &Frame, output: Output) -> Result<&[f32], ImageFileError> {
 }
 
 /// A number of levels that a channel has.
-trait Level: Copy {
+trait ChannelLevel: Copy {
     /// The level nearest to a value in [0, 1].
     fn nearest(value: f32) -> Self;
 
@@ -105,7 +105,7 @@ trait Level: Copy {
     }
 }
 
-impl Level for u8 {
+impl ChannelLevel for u8 {
     fn nearest(value: f32) -> Self {
         srgb::to_u8(value)
     }
@@ -118,26 +118,30 @@ impl Level for u8 {
     }
 }
 
-impl Level for u16 {
+impl ChannelLevel for u16 {
     fn nearest(value: f32) -> Self {
         (value * 65535.0 + 0.5) as u16
     }
 }
 
 /// A colour output as display-referred RGBA, straight alpha.
-fn colour<L: Level>(frame: &Frame, output: Output, finish: &Finish) -> Result<Vec<[L; 4]>, ImageFileError> {
+fn colour<L: ChannelLevel>(
+    frame: &Frame,
+    output: Output,
+    options: &EncodeOptions,
+) -> Result<Vec<[L; 4]>, ImageFileError> {
     let alpha = plane(frame, Output::Alpha)?;
     let pixels = plane(frame, output)?.as_chunks::<3>().0;
     // Albedo is the one colour that is not premultiplied, and the one that no light makes brighter than 1.
-    let curve = match (output, finish.tone_curve) {
+    let curve = match (output, options.tone_curve) {
         (Output::Albedo, ToneCurve::Neutral | ToneCurve::Agx) => ToneCurve::Srgb,
         (_, curve) => curve,
     };
     let pixel = |(&rgb, &alpha): (&[f32; 3], &f32)| {
-        let alpha = coverage(alpha, output, finish);
+        let alpha = coverage(alpha, output, options);
         let divisor = if output == Output::Albedo { 1.0 } else { alpha.max(1e-6) };
         let colour = rgb.map(|v| v / divisor);
-        let ([r, g, b], alpha) = match finish.background {
+        let ([r, g, b], alpha) = match options.background {
             Background::Colour(behind) => {
                 let shown = over(curve.apply(colour), alpha, shown_as(behind, curve));
                 (shown.map(L::nearest), 1.0)
@@ -150,8 +154,8 @@ fn colour<L: Level>(frame: &Frame, output: Output, finish: &Finish) -> Result<Ve
 }
 
 /// How much of a pixel a colour covers.
-fn coverage(alpha: f32, output: Output, finish: &Finish) -> f32 {
-    match (output, finish.background) {
+fn coverage(alpha: f32, output: Output, options: &EncodeOptions) -> f32 {
+    match (output, options.background) {
         (Output::Rgb, Background::Environment) => 1.0,
         _ => alpha.clamp(0.0, 1.0),
     }
@@ -172,14 +176,14 @@ fn shown_as(colour: [u8; 3], curve: ToneCurve) -> [f32; 3] {
 fn exr(
     frame: &Frame,
     outputs: &[Output],
-    finish: &Finish,
+    options: &EncodeOptions,
     is_wanted: &dyn Fn() -> bool,
 ) -> Result<Vec<u8>, ImageFileError> {
     let alpha = plane(frame, Output::Alpha)?;
-    let covered: Vec<f32> = alpha.iter().map(|a| coverage(*a, Output::Rgb, finish)).collect();
+    let covered: Vec<f32> = alpha.iter().map(|a| coverage(*a, Output::Rgb, options)).collect();
     let mut colours = Vec::new();
     for output in outputs.iter().filter(|output| is_colour(**output)) {
-        colours.push((*output, scene_referred(plane(frame, *output)?, alpha, *output, finish)));
+        colours.push((*output, scene_referred(plane(frame, *output)?, alpha, *output, options)));
     }
     let layer = |output: Output, values| {
         let (name, suffixes) = layer_name(output);
@@ -194,10 +198,11 @@ fn exr(
         data.push(layer(*output, plane(frame, *output)?));
     }
     let (width, height) = (frame.width, frame.height);
-    let attributes = &finish.notes.attributes(finish.background, finish.alpha.unwrap_or_default());
-    let primaries = finish.primaries.unwrap_or_default();
+    let attributes =
+        &options.frame_metadata.attributes(options.background, options.alpha.unwrap_or_default());
+    let primaries = options.primaries.unwrap_or_default();
     let layers = FrameLayers { width, height, colour: &colour, primaries, data: &data, attributes };
-    exr_frame::encode_while(&layers, finish.colour_depth.unwrap_or(ColourDepth::Full), is_wanted)
+    exr_frame::encode_while(&layers, options.colour_depth.unwrap_or(ColourDepth::Full), is_wanted)
 }
 
 /// The names compositing tools expect.
@@ -217,16 +222,21 @@ fn layer_name(output: Output) -> (&'static str, &'static str) {
     }
 }
 
-/// A colour output in the primaries and the alpha mode of `finish`.
-fn scene_referred<'a>(rgb: &'a [f32], alpha: &[f32], output: Output, finish: &Finish) -> Cow<'a, [f32]> {
-    let (mode, primaries) = (finish.alpha.unwrap_or_default(), finish.primaries.unwrap_or_default());
+/// A colour output in the primaries and the alpha mode of `options`.
+fn scene_referred<'a>(
+    rgb: &'a [f32],
+    alpha: &[f32],
+    output: Output,
+    options: &EncodeOptions,
+) -> Cow<'a, [f32]> {
+    let (mode, primaries) = (options.alpha.unwrap_or_default(), options.primaries.unwrap_or_default());
     let as_rendered = (AlphaMode::Premultiplied, Primaries::Rec709) == (mode, primaries);
     if as_rendered {
         return Cow::Borrowed(rgb);
     }
     let mut values = Vec::with_capacity(rgb.len());
     for (&colour, &alpha) in rgb.as_chunks::<3>().0.iter().zip(alpha) {
-        let alpha = coverage(alpha, output, finish);
+        let alpha = coverage(alpha, output, options);
         // Base colour is the one that is not premultiplied as rendered.
         let colour = if output == Output::Albedo { colour } else { mode.of_premultiplied(colour, alpha) };
         values.extend(primaries.from_rec709(colour));
@@ -260,8 +270,8 @@ mod tests {
     fn half_covered_pixel_keeps_its_albedo() {
         let planes = [(Output::Albedo, vec![0.5; 3]), (Output::Alpha, vec![0.5])].into();
         let frame = Frame { width: 1, height: 1, planes };
-        let finish = Finish { tone_curve: ToneCurve::Agx, ..Finish::default() };
-        assert_eq!(colour::<u8>(&frame, Output::Albedo, &finish).unwrap(), [[188, 188, 188, 128]]);
+        let options = EncodeOptions { tone_curve: ToneCurve::Agx, ..EncodeOptions::default() };
+        assert_eq!(colour::<u8>(&frame, Output::Albedo, &options).unwrap(), [[188, 188, 188, 128]]);
         assert_eq!(over_white(&[[188, 188, 188, 128]]), [[221; 3]]);
     }
 
@@ -272,14 +282,15 @@ mod tests {
         let mut frame = Frame { width: 1, height: 1, planes };
         frame.planes.insert(Output::Rgb, vec![0.25, 0.5, 2.0]);
         frame.planes.insert(Output::Alpha, vec![1.0]);
-        let bytes = encode_frame(&frame, &outputs, FrameFormat::Exr, &Finish::default()).unwrap().bytes;
+        let bytes =
+            encode_frame(&frame, &outputs, FrameFormat::Exr, &EncodeOptions::default()).unwrap().bytes;
         let (_, _, pixels) = relume_capture::formats::exr_image::decode_rgba(&bytes).unwrap();
         assert_eq!(pixels, [[0.25, 0.5, 2.0, 1.0]], "linear and unclamped");
         let names = ["N.X", "Z", "visibility.Y", "alpha.Y"];
         let text = String::from_utf8_lossy(&bytes);
         assert!(names.iter().all(|name| text.contains(name)) && !text.contains("albedo"));
         assert!(
-            encode_frame(&frame, &[Output::Albedo], FrameFormat::Exr, &Finish::default()).is_err(),
+            encode_frame(&frame, &[Output::Albedo], FrameFormat::Exr, &EncodeOptions::default()).is_err(),
             "what is not there is not made up"
         );
     }
@@ -290,8 +301,8 @@ mod tests {
             [(Output::Rgb, vec![0.25, 0.0, 0.0, 0.5, 0.5, 0.5]), (Output::Alpha, vec![0.5, 0.0])].into();
         let frame = Frame { width: 2, height: 1, planes };
         let pixels = |alpha, primaries| {
-            let finish = Finish { alpha, primaries, ..Finish::default() };
-            let file = encode_frame(&frame, &[Output::Rgb], FrameFormat::Exr, &finish).unwrap();
+            let options = EncodeOptions { alpha, primaries, ..EncodeOptions::default() };
+            let file = encode_frame(&frame, &[Output::Rgb], FrameFormat::Exr, &options).unwrap();
             relume_capture::formats::exr_image::decode_rgba(&file.bytes).unwrap().2
         };
         let premultiplied = pixels(None, None);
@@ -308,7 +319,8 @@ mod tests {
     fn background_replaces_alpha_and_keeps_the_alpha_output() {
         let planes = [(Output::Rgb, vec![0.25; 3]), (Output::Alpha, vec![0.5])].into();
         let frame = Frame { width: 1, height: 1, planes };
-        let with = |background, tone_curve| Finish { background, tone_curve, ..Finish::default() };
+        let with =
+            |background, tone_curve| EncodeOptions { background, tone_curve, ..EncodeOptions::default() };
         let shown =
             |background| colour::<u8>(&frame, Output::Rgb, &with(background, ToneCurve::Srgb)).unwrap()[0];
         assert_eq!(shown(Background::Transparent), [188, 188, 188, 128]);

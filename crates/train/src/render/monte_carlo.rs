@@ -5,32 +5,32 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use crate::render::Frame;
-use crate::render::job::Job;
-use relume_engine::cpu::{Occluders, Pass, Surface, reflector, resolve, surface_point};
+use crate::render::cpu_frame_job::CpuFrameJob;
+use relume_engine::cpu::{OccluderBvh, Pass, Surface, reflector, resolve, surface_point};
 use relume_layout::channel::{Channels, OutgoingRadiance};
 use relume_layout::constants::EarlyStop;
 use relume_scene::Field;
-use relume_scene::light::{EnvSampler, Shares, estimate};
+use relume_scene::light::{EnvSampler, SampleCounts, estimate};
 use relume_spec::rendering::Quality;
 
 /// Most rows of a sampled environment: a texel of 0.35 degrees, two thirds of the sun.
-pub(super) const MOST_ROWS: usize = 512;
+pub(super) const MAX_ROWS: usize = 512;
 /// A frame is f32 and finite, whatever a single sample of an extreme light came to.
-const BRIGHTEST: f64 = 1e36;
+const MAX_RADIANCE: f64 = 1e36;
 
 /// Renders every pixel with `quality.samples` directions; the bytes depend on `quality.seed` and on nothing else that is
 /// random. `pixels_before` is the number of the frame's pixels above the job's.
 pub(super) fn render(
-    job: &Job<'_>,
+    job: &CpuFrameJob<'_>,
     environment: &EnvSampler,
-    occluders: &Occluders,
+    occluders: &OccluderBvh,
     quality: Quality,
     pixels_before: u64,
 ) -> Frame {
     let view = job.frame.view;
     let coefficients = job.source.gaussians.width(Field::Visibility);
     let pass = Pass::forward(&job.source, view, Channels::Full(coefficients), EarlyStop::WhenSaturated);
-    let shares = Shares::of(quality.samples, environment);
+    let shares = SampleCounts::of(quality.samples, environment);
     let random = ChaCha8Rng::seed_from_u64(quality.seed);
     let light = |(x, y): (usize, usize), surface: &Surface| {
         // A stream a pixel: no pixel's samples depend on who rendered the one before.
@@ -46,7 +46,7 @@ pub(super) fn render(
             |d| f64::from(occluders.transmittance(point, d.to_array().map(|v| v as f32))),
         );
         let bounced = (1.0 - surface.metal) * std::f32::consts::FRAC_1_PI;
-        let finite = |v: f64| v.min(BRIGHTEST) as f32;
+        let finite = |v: f64| v.min(MAX_RADIANCE) as f32;
         OutgoingRadiance {
             diffuse: std::array::from_fn(|c| {
                 finite(sum.diffuse[c]) + surface.albedo[c] * bounced * surface.gathered[c]

@@ -4,16 +4,16 @@ use std::sync::{Arc, OnceLock};
 
 use crate::render::background;
 use crate::render::error::RenderError;
-use crate::render::high::SplitLight;
+use crate::render::high::HighTierLight;
 use crate::render::{Frame, monte_carlo};
-use relume_engine::cpu::{FrameLight as CpuLight, Occluders};
-use relume_engine::{Device, DeviceError, FrameLight, Frames, RasterCamera, ShadeColour};
+use relume_engine::cpu::{CpuFrameLight as CpuLight, OccluderBvh};
+use relume_engine::{ColourMode, Device, DeviceError, FrameLight, FrameRenderer, RasterCamera};
 use relume_scene::light::{EnvSampler, LightTables, rendering_tables};
 use relume_scene::{Camera, Illumination, Model, ShadeAt};
 use relume_spec::rendering::{Output, Tier};
 
 /// Most pixels of a frame.
-const MOST_PIXELS: u64 = 64 << 20;
+const MAX_PIXELS: u64 = 64 << 20;
 
 /// An environment turned into what a model is shaded with; costs a second at most, keep it. Belongs to the renderer
 /// that prepared it. What only some tiers need is made when the first of them asks.
@@ -21,15 +21,15 @@ pub struct PreparedLight {
     /// The light itself; its map has at most the rows that the Monte-Carlo tier uses.
     pub(super) source: Illumination,
     pub(super) frame: FrameLight,
-    split: OnceLock<SplitLight>,
+    split: OnceLock<HighTierLight>,
     sampler: OnceLock<EnvSampler>,
     whole: OnceLock<LightTables>,
 }
 
 impl PreparedLight {
-    /// The environment with its dominant lights taken out, for visibility fields of degree `order`.
-    pub(super) fn split(&self, order: usize) -> &SplitLight {
-        self.split.get_or_init(|| SplitLight::new(&self.source.environment, order))
+    /// The environment with its dominant lights taken out, for visibility fields of degree `sh_degree`.
+    pub(super) fn split(&self, sh_degree: usize) -> &HighTierLight {
+        self.split.get_or_init(|| HighTierLight::new(&self.source.environment, sh_degree))
     }
 
     /// What draws directions by the environment's radiance.
@@ -37,24 +37,24 @@ impl PreparedLight {
         self.sampler.get_or_init(|| EnvSampler::new(self.source.environment.clone()))
     }
 
-    /// Tables of the environment with no lights beside them, for visibility fields of degree `order`.
-    pub(super) fn whole_tables<'a>(&'a self, on_cpu: &'a CpuLight, order: usize) -> &'a LightTables {
+    /// Tables of the environment with no lights beside them, for visibility fields of degree `sh_degree`.
+    pub(super) fn whole_tables<'a>(&'a self, on_cpu: &'a CpuLight, sh_degree: usize) -> &'a LightTables {
         match on_cpu.tables.lights.is_empty() {
             true => &on_cpu.tables,
-            false => self.whole.get_or_init(|| rendering_tables(&self.source.environment, order)),
+            false => self.whole.get_or_init(|| rendering_tables(&self.source.environment, sh_degree)),
         }
     }
 }
 
 /// A model ready to be rendered many times. Shared between threads.
 pub struct Renderer {
-    pub(super) frames: Frames,
+    pub(super) frames: FrameRenderer,
 }
 
 impl Renderer {
     /// Takes a checked model in, to be rendered on the CPU engine.
     pub fn new(model: Arc<Model>) -> Self {
-        Self { frames: Frames::on_cpu_only(model) }
+        Self { frames: FrameRenderer::on_cpu_only(model) }
     }
 
     /// Takes a checked model in, to be rendered on `device`.
@@ -79,7 +79,7 @@ impl Renderer {
         let source = light.into();
         let frame = self.frames.prepare_light(&source)?;
         Ok(PreparedLight {
-            source: source.with_at_most_rows(monte_carlo::MOST_ROWS),
+            source: source.with_at_most_rows(monte_carlo::MAX_ROWS),
             frame,
             split: OnceLock::new(),
             sampler: OnceLock::new(),
@@ -88,7 +88,7 @@ impl Renderer {
     }
 
     /// What hides what, as the Monte-Carlo tier asks it.
-    pub fn occluders(&self) -> &Occluders {
+    pub fn occluders(&self) -> &OccluderBvh {
         self.frames.on_cpu().occluders()
     }
 
@@ -98,15 +98,15 @@ impl Renderer {
     }
 
     /// Where Gaussians are shaded, colour alone needs no G-buffer; anything else does, in every tier.
-    pub(super) fn colour(&self, tier: Tier, outputs: &[Output]) -> ShadeColour {
+    pub(super) fn colour(&self, tier: Tier, outputs: &[Output]) -> ColourMode {
         let at_gaussians = match tier {
             Tier::Preview => true,
             Tier::Standard => self.model().shading.shade_at == ShadeAt::Gaussian,
             Tier::High | Tier::MonteCarlo => false,
         };
         match at_gaussians && outputs.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha)) {
-            true => ShadeColour::Alone,
-            false => ShadeColour::WithGBuffer,
+            true => ColourMode::Alone,
+            false => ColourMode::WithGBuffer,
         }
     }
 
@@ -118,8 +118,8 @@ impl Renderer {
     pub(super) fn view(&self, camera: &Camera) -> Result<RasterCamera, RenderError> {
         let checked =
             camera.validated().map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
-        if u64::from(checked.width) * u64::from(checked.height) > MOST_PIXELS {
-            let reason = format!("more than {MOST_PIXELS} pixels");
+        if u64::from(checked.width) * u64::from(checked.height) > MAX_PIXELS {
+            let reason = format!("more than {MAX_PIXELS} pixels");
             return Err(RenderError::Refused { field: "width,height", reason });
         }
         let model = self.model();

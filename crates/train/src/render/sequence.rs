@@ -5,11 +5,11 @@ use relume_scene::{Camera, CameraError, Model};
 
 /// What a frame of a sequence shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct View {
+pub struct FrameView {
     /// From where, capture units.
     pub camera: Camera,
     /// Turn of the light about +Z beside what holds for all frames, degrees counter-clockwise.
-    pub light_turn_deg: f64,
+    pub light_rotation_deg: f64,
 }
 
 /// Cameras on a circle around a model.
@@ -32,14 +32,14 @@ impl Turntable {
     ///
     /// # Errors
     /// Names the field that does not make a camera.
-    pub fn views(&self, model: &Model) -> Result<Vec<View>, CameraError> {
+    pub fn views(&self, model: &Model) -> Result<Vec<FrameView>, CameraError> {
         let side = self.size.0.min(self.size.1);
         let start = Orbit { azimuth_deg: self.azimuth_deg, elevation_deg: self.elevation_deg, size: side };
         let start = start.azimuth_of(model);
         let azimuth = |i: u32| start + self.camera_turn_deg * f64::from(i) / f64::from(self.frames);
         let view = |i| {
             let camera = orbit_camera(model, Some(azimuth(i)), self.elevation_deg, self.size)?;
-            Ok(View { camera, light_turn_deg: 0.0 })
+            Ok(FrameView { camera, light_rotation_deg: 0.0 })
         };
         (0..self.frames).map(view).collect()
     }
@@ -61,10 +61,10 @@ pub fn orbit_camera(
 }
 
 /// Turns the light by `turn_deg` from the first view to after the last, beside how it stands in each.
-pub fn turn_light(views: &mut [View], turn_deg: f64) {
+pub fn rotate_light(views: &mut [FrameView], turn_deg: f64) {
     let frames = views.len() as f64;
     for (i, view) in views.iter_mut().enumerate() {
-        view.light_turn_deg += turn_deg * i as f64 / frames;
+        view.light_rotation_deg += turn_deg * i as f64 / frames;
     }
 }
 
@@ -72,14 +72,17 @@ pub fn turn_light(views: &mut [View], turn_deg: f64) {
 ///
 /// # Errors
 /// The index of the first view that this size would stretch by more than a hundredth, and why.
-pub fn resized(views: Vec<View>, (width, height): (u32, u32)) -> Result<Vec<View>, (usize, String)> {
-    let resized = |(i, view): (usize, View)| {
+pub fn resized(
+    views: Vec<FrameView>,
+    (width, height): (u32, u32),
+) -> Result<Vec<FrameView>, (usize, String)> {
+    let resized = |(i, view): (usize, FrameView)| {
         let Camera { width: w, height: h, .. } = view.camera;
         let aspects = [(w, h), (width, height)].map(|(w, h)| f64::from(w) / f64::from(h));
         if (aspects[0] / aspects[1] - 1.0).abs() > 0.01 {
             return Err((i, format!("is of {w}x{h}, which {width}x{height} would stretch")));
         }
-        Ok(View { camera: view.camera.resized(width, height), ..view })
+        Ok(FrameView { camera: view.camera.resized(width, height), ..view })
     };
     views.into_iter().enumerate().map(resized).collect()
 }

@@ -5,21 +5,21 @@ use std::sync::Arc;
 use crate::render::renderer::Renderer;
 use crate::render::{MeshOptions, RenderError};
 use relume_capture::formats::environment::{self, EnvironmentFileError};
-use relume_capture::formats::ply_model::{self, Columns};
+use relume_capture::formats::ply_model::{self, PlyProperties};
 use relume_capture::formats::splats::{Layer, Splats};
 use relume_capture::formats::{gltf, usd};
 use relume_engine::DeviceError;
 use relume_scene::{Illumination, Model};
-use relume_spec::rendering::Shown;
+use relume_spec::rendering::ExportedColour;
 
 /// The layer of the surface that `shown` is, if it is one.
-fn layer(shown: Shown) -> Option<Layer> {
+fn layer(shown: ExportedColour) -> Option<Layer> {
     match shown {
-        Shown::Radiance | Shown::Relit => None,
-        Shown::Albedo => Some(Layer::Albedo),
-        Shown::Normal => Some(Layer::Normal),
-        Shown::Roughness => Some(Layer::Roughness),
-        Shown::Metallic => Some(Layer::Metallic),
+        ExportedColour::Radiance | ExportedColour::Relit => None,
+        ExportedColour::Albedo => Some(Layer::Albedo),
+        ExportedColour::Normal => Some(Layer::Normal),
+        ExportedColour::Roughness => Some(Layer::Roughness),
+        ExportedColour::Metallic => Some(Layer::Metallic),
     }
 }
 
@@ -58,7 +58,7 @@ pub enum SplatFileError {
 /// Encodes a model.
 ///
 /// Without `shown` the colour is the radiance and a PLY has the materials as well; with it, or of a model without materials, a PLY is
-/// an ordinary file of splats. For [`Shown::Relit`] the model is one that [`relit`] made. With `flatten` each Gaussian is turned
+/// an ordinary file of splats. For [`ExportedColour::Relit`] the model is one that [`relit`] made. With `flatten` each Gaussian is turned
 /// until its shortest axis is its shading normal.
 ///
 /// # Errors
@@ -66,7 +66,7 @@ pub enum SplatFileError {
 pub fn encode_splat_file(
     model: &Model,
     file: SplatFile,
-    shown: Option<Shown>,
+    shown: Option<ExportedColour>,
     flatten: bool,
 ) -> Result<Vec<u8>, SplatFileError> {
     let mut splats = Splats::of(model);
@@ -80,7 +80,7 @@ pub fn encode_splat_file(
         splats = splats.painted(layer);
     }
     let ordinary = shown.is_some() || !model.has_materials();
-    let columns = if ordinary { Columns::Ordinary } else { Columns::Relightable };
+    let columns = if ordinary { PlyProperties::Ordinary } else { PlyProperties::Relightable };
     Ok(match file {
         SplatFile::Ply => ply_model::encode_splats(model, &splats, columns),
         SplatFile::Glb => gltf::encode_splats(&splats)?,
@@ -90,7 +90,7 @@ pub fn encode_splat_file(
     })
 }
 
-/// The model with the colours it has under `light`, as harmonics of `degree` (at most [`relume_spec::rendering::MOST_BAKED_DEGREE`]).
+/// The model with the colours it has under `light`, as harmonics of `degree` (at most [`relume_spec::rendering::MAX_BAKED_DEGREE`]).
 ///
 /// # Errors
 /// When the light cannot be prepared.

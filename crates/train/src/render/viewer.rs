@@ -9,7 +9,7 @@ use relume_scene::light::reflectance_tables;
 use relume_scene::{Model, SplitLight};
 
 /// Most rows of the picture of a light that stands behind a model.
-const MOST_MAP_ROWS: usize = 256;
+const MAX_MAP_ROWS: usize = 256;
 
 /// The stream of a model's Gaussians (docs/viewer-stream.md).
 pub fn stream_gaussians(model: &Model) -> Vec<u8> {
@@ -37,7 +37,7 @@ impl Renderer {
             specular_nodes: tables.specular_grids.iter().map(|grid| grid.edge()).collect(),
             lights: &lights,
             surfaces: importance_order(&self.model().gaussians).into_iter().map(surface).collect(),
-            map: with_map.then(|| light.source.environment.clone().at_most_rows(MOST_MAP_ROWS)),
+            map: with_map.then(|| light.source.environment.clone().at_most_rows(MAX_MAP_ROWS)),
         })
     }
 }

@@ -15,7 +15,7 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Device`] when the device failed.
     pub fn model(&mut self) -> Result<Model, TrainError> {
-        self.catch_up_soundly()?;
+        self.wait_for_finite_state()?;
         let mut model = self.engine.state()?.model.clone();
         model.card = serde_json::json!({
             "relume_version": env!("CARGO_PKG_VERSION"),

@@ -1,11 +1,11 @@
 //! The cut after the warm-up, where a crop is asked for.
 
 use crate::TrainError;
-use crate::crop::{CutOut, Region};
+use crate::crop::{Region, SubjectCrop};
 use crate::trainer::Trainer;
 
 /// Fewest Gaussians of a subject.
-const LEAST_GAUSSIANS: usize = 16;
+const MIN_GAUSSIANS: usize = 16;
 
 impl Trainer {
     /// Makes the subject all there is: its Gaussians, and photographs with masks of it.
@@ -20,7 +20,7 @@ impl Trainer {
         }
         let Some(region) = Region::of(self.config.crop, &state, &self.data) else { return Ok(()) };
         let mut state = state.into_owned();
-        let Some(cut) = CutOut::of(&mut state, region, LEAST_GAUSSIANS) else {
+        let Some(cut) = SubjectCrop::of(&mut state, region, MIN_GAUSSIANS) else {
             return Err(TrainError::Invalid(
                 "crop: nothing that was found in the photographs lies inside".into(),
             ));
@@ -115,7 +115,7 @@ mod tests {
             trainer.step().unwrap();
         }
         let masks_of = |trainer: &Trainer| -> Vec<f32> {
-            (0..8).flat_map(|i| trainer.data.look(i, PhotoSize::Full).alpha.clone()).collect()
+            (0..8).flat_map(|i| trainer.data.decode_uncached(i, PhotoSize::Full).alpha.clone()).collect()
         };
         assert!(masks_of(&trainer).is_empty(), "the control: no masks yet");
         assert!(trainer.model().unwrap().framing.is_some(), "the surroundings may hide it");

@@ -2,12 +2,12 @@
 
 mod card;
 mod crop;
-mod known_sums;
 mod photographs;
 mod preparation;
-mod sums;
+mod step_results;
+mod step_tracker;
 
-pub use preparation::Preparation;
+pub use preparation::PreparedTraining;
 use preparation::operators_of;
 
 use std::sync::Arc;
@@ -16,12 +16,14 @@ use std::time::Instant;
 use crate::complexity;
 use crate::context::StepContext;
 use crate::dataset::{Dataset, DecodingStats};
-use crate::error::{MOST_ROLLBACKS, TrainError};
+use crate::error::{MAX_ROLLBACKS, TrainError};
 use crate::state::ScheduleState;
 use crate::{checkpoint, density, exposure, initial, light_colour, lights, materials, schedule};
 use relume_capture::Capture;
 use relume_engine::cpu::evaluation;
-use relume_engine::{Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, Training, TrainingLimits};
+use relume_engine::{
+    Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, TrainingEngine, TrainingLimits,
+};
 use relume_scene::light::{EnvOperators, LightColour};
 use relume_scene::{Field, SplitLight};
 use relume_spec::training::{LabelSource, TrainConfig};
@@ -37,7 +39,7 @@ pub struct StepReport {
     /// Steps done so far.
     pub step: u32,
     /// The step that `loss` and `psnr` are of: this one, or the one before where the device is still at work on this one.
-    pub known_step: u32,
+    pub metrics_step: u32,
     /// The objective of that step.
     pub loss: f32,
     /// PSNR on that step's photograph, dB: physically based branch, or the radiance branch during its warm-up.
@@ -65,12 +67,12 @@ pub struct Trainer {
     operators: Arc<EnvOperators>,
     schedule: ScheduleState,
     snapshot: ScheduleState,
-    engine: Box<dyn Training>,
+    engine: Box<dyn TrainingEngine>,
     rollbacks: u32,
-    sums: known_sums::KnownSums,
+    tracker: step_tracker::StepTracker,
 }
 
-impl Preparation {
+impl PreparedTraining {
     /// The trainer, with its state on `device`.
     ///
     /// # Errors
@@ -92,7 +94,7 @@ impl Preparation {
             schedule,
             engine,
             rollbacks: 0,
-            sums: Default::default(),
+            tracker: Default::default(),
         })
     }
 }
@@ -103,7 +105,7 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Invalid`] names what cannot be trained on, [`TrainError::Device`] what the device lacks.
     pub fn new(capture: &Capture, config: TrainConfig, device: &Device) -> Result<Self, TrainError> {
-        Preparation::new(capture, config)?.on(device)
+        PreparedTraining::new(capture, config)?.on(device)
     }
 
     /// Goes on from [`Trainer::checkpoint`] bytes, on whatever device; on the CPU engine bit for bit.
@@ -116,14 +118,14 @@ impl Trainer {
         bytes: &[u8],
         device: &Device,
     ) -> Result<Self, TrainError> {
-        Preparation::resume(capture, config, bytes)?.on(device)
+        PreparedTraining::resume(capture, config, bytes)?.on(device)
     }
 
     fn context(&self) -> StepContext<'_> {
         StepContext {
             config: &self.config,
             operators: &self.operators,
-            turns: &self.data.turns,
+            rotations: &self.data.rotations,
             background: self.data.background,
             has_alpha: self.data.has_alpha,
         }
@@ -138,7 +140,7 @@ impl Trainer {
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         let start = Instant::now();
         self.prepare_step()?;
-        if self.sums.unsound.is_some() {
+        if self.tracker.non_finite_step.is_some() {
             return self.roll_back();
         }
         let photo = self.schedule.next_photo();
@@ -154,8 +156,8 @@ impl Trainer {
         let light = self.schedule.light_colour.unwrap_or(LightColour::NEUTRAL);
         let mut weights =
             schedule::step_weights(&self.config, branches, progress, self.data.has_alpha, light);
-        if self.data.turns.is_several() {
-            weights.light = schedule::turning_light(weights.light);
+        if self.data.rotations.has_rotations() {
+            weights.light = schedule::rotating_light_weights(weights.light);
         }
         let next = self.schedule.step + 1;
         let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
@@ -169,8 +171,8 @@ impl Trainer {
             counts: StepCounts { geometry: next, material },
         })?;
         let phase = u32::from(branches.is_physical()) + 2 * u32::from(size == PhotoSize::Half);
-        self.asked(phase, sums);
-        if self.sums.unsound.is_some() {
+        self.record_step(phase, sums);
+        if self.tracker.non_finite_step.is_some() {
             return self.roll_back();
         }
         self.schedule.step = next;
@@ -178,25 +180,25 @@ impl Trainer {
         self.end()?;
         self.schedule.seconds += start.elapsed().as_secs_f64();
         self.take_snapshot()?;
-        if self.sums.unsound.is_some() {
+        if self.tracker.non_finite_step.is_some() {
             return self.roll_back();
         }
-        let known = self.known_sums()?;
+        let known = self.latest_metrics()?;
         Ok(StepReport {
             step: self.schedule.step,
-            known_step: known.step,
+            metrics_step: known.step,
             loss: known.loss,
             psnr: known.psnr,
             gaussians: self.engine.gaussians(),
-            warning: self.sums.warning.take(),
+            warning: self.tracker.warning.take(),
         })
     }
 
     /// The last decisions, once every step is done.
     fn end(&mut self) -> Result<(), TrainError> {
         if self.is_done() {
-            self.catch_up()?;
-            if self.sums.unsound.is_none() {
+            self.wait_for_steps()?;
+            if self.tracker.non_finite_step.is_none() {
                 self.decide()?;
             }
         }
@@ -206,13 +208,13 @@ impl Trainer {
     /// Keeps the state to return to, where the step is one for that and sound.
     fn take_snapshot(&mut self) -> Result<(), TrainError> {
         if self.is_snapshot_step() {
-            self.catch_up()?;
-            if self.sums.unsound.is_none() {
+            self.wait_for_steps()?;
+            if self.tracker.non_finite_step.is_none() {
                 if self.engine.snapshot()? {
                     self.snapshot = self.schedule.clone();
                     self.rollbacks = 0;
                 } else {
-                    self.sums.unsound = Some(self.schedule.step);
+                    self.tracker.non_finite_step = Some(self.schedule.step);
                 }
             }
         }
@@ -225,9 +227,9 @@ impl Trainer {
     }
 
     fn roll_back(&mut self) -> Result<StepReport, TrainError> {
-        let failed = self.sums.roll_back().unwrap_or(self.schedule.step);
+        let failed = self.tracker.roll_back().unwrap_or(self.schedule.step);
         self.rollbacks += 1;
-        if self.rollbacks > MOST_ROLLBACKS {
+        if self.rollbacks > MAX_ROLLBACKS {
             return Err(TrainError::Diverged { step: failed });
         }
         self.engine.roll_back()?;
@@ -239,7 +241,7 @@ impl Trainer {
         let step = self.schedule.step;
         Ok(StepReport {
             step,
-            known_step: step,
+            metrics_step: step,
             loss: f32::MAX,
             psnr: 0.0,
             gaussians: self.engine.gaussians(),
@@ -264,8 +266,8 @@ impl Trainer {
         if !(step == warm_up || is_measured || is_round || self.is_decision_due()) {
             return Ok(());
         }
-        self.catch_up()?;
-        if self.sums.unsound.is_some() {
+        self.wait_for_steps()?;
+        if self.tracker.non_finite_step.is_some() {
             return Ok(());
         }
         if step == warm_up {
@@ -307,7 +309,7 @@ impl Trainer {
     /// Divides photographs by their gains, where these differ.
     fn match_exposures(&mut self) -> Result<(), TrainError> {
         let state = self.engine.state()?;
-        if !self.data.turns.stand_still() || state.model.check().is_err() {
+        if !self.data.rotations.is_static() || state.model.check().is_err() {
             return Ok(());
         }
         let gains = exposure::gains(&state, &self.context(), &self.data);
@@ -325,7 +327,7 @@ impl Trainer {
     /// Takes strong small lights that cast sharp shadows out of the environment.
     fn find_lights(&mut self) -> Result<(), TrainError> {
         let most = self.config.lights as usize;
-        if most == 0 || self.config.light.is_some() || !self.data.turns.stand_still() {
+        if most == 0 || self.config.light.is_some() || !self.data.rotations.is_static() {
             return Ok(());
         }
         let mut state = self.engine.state()?.into_owned();
@@ -364,7 +366,7 @@ impl Trainer {
         }
         let mut state = state.into_owned();
         let normals = evaluation::normals(&state);
-        materials::restart_albedo(&mut state, &self.operators, &self.data.turns, &normals);
+        materials::restart_albedo(&mut state, &self.operators, &self.data.rotations, &normals);
         if self.is_dielectric() {
             complexity::hold_dielectric(&mut state);
         }
@@ -393,7 +395,7 @@ impl Trainer {
         let mut decisions = self.schedule.complexity.clone();
         decisions.decide(point, &self.context(), steps, &self.data, &mut state);
         self.schedule.complexity = decisions;
-        if state.model.gaussians.visibility_order() != self.operators.order() {
+        if state.model.gaussians.visibility_degree() != self.operators.sh_degree() {
             self.operators = operators_of(&state.model);
         }
         self.engine.reshape(state, &self.operators)?;
@@ -404,7 +406,7 @@ impl Trainer {
     /// Measures visibility and gathered light, `repeats` times in a row.
     fn measure(&mut self, repeats: usize) -> Result<(), TrainError> {
         let _span = tracing::info_span!("measure", repeats).entered();
-        Ok(self.engine.measure(&schedule::measurement(&self.config, &self.data.turns, repeats))?)
+        Ok(self.engine.measure(&schedule::measurement(&self.config, &self.data.rotations, repeats))?)
     }
 
     fn refine(&mut self) -> Result<(), TrainError> {
@@ -414,8 +416,8 @@ impl Trainer {
         if step < first || step > last || !step.is_multiple_of(REFINE_EVERY.min((total / 15).max(10))) {
             return Ok(());
         }
-        self.catch_up()?;
-        if self.sums.unsound.is_some() {
+        self.wait_for_steps()?;
+        if self.tracker.non_finite_step.is_some() {
             return Ok(());
         }
         // The budget opens with the square root of progress, so that early Gaussians settle first.
@@ -461,7 +463,7 @@ impl Trainer {
     /// # Errors
     /// When the state is not finite (a poisoned checkpoint is never written) or the device failed.
     pub fn checkpoint(&mut self) -> Result<Vec<u8>, TrainError> {
-        self.catch_up_soundly()?;
+        self.wait_for_finite_state()?;
         checkpoint::encode(&self.schedule, self.engine.state()?.as_ref(), &self.config)
     }
 

@@ -13,11 +13,11 @@ impl Trainer {
     /// The photograph of a step; without pixels where the engine holds it. Those of the next steps are decoded meanwhile.
     pub(super) fn photograph(&self, id: PhotoId) -> Arc<Photo> {
         let photo = match self.engine.holds(id) {
-            true => Arc::new(self.data.outline(id.index, id.size)),
+            true => Arc::new(self.data.without_pixels(id.index, id.size)),
             false => self.data.photo(id.index, id.size),
         };
         let missing = self.next_photos().into_iter().filter(|id| !self.engine.holds(*id));
-        self.data.expect(missing.map(|id| (id.index, id.size)));
+        self.data.prefetch(missing.map(|id| (id.index, id.size)));
         photo
     }
 

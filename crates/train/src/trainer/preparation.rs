@@ -16,10 +16,10 @@ use relume_scene::light::{EnvOperators, TableResolution};
 use relume_spec::training::{Crop, TrainConfig, WhiteBalance};
 
 /// Fewest photographs worth training on.
-const LEAST_VIEWS: usize = 3;
+const MIN_VIEWS: usize = 3;
 
 /// A training that is ready to begin, or to go on, on a device.
-pub struct Preparation {
+pub struct PreparedTraining {
     pub(super) config: TrainConfig,
     pub(super) data: Dataset,
     pub(super) operators: Arc<EnvOperators>,
@@ -27,7 +27,7 @@ pub struct Preparation {
     pub(super) state: TrainState,
 }
 
-impl Preparation {
+impl PreparedTraining {
     /// Starts from nothing.
     ///
     /// # Errors
@@ -72,16 +72,16 @@ impl Preparation {
 
 /// Checks that `capture` can be trained on, gives `config` what was measured in it, and reads its photographs.
 fn prepare(capture: &Capture, config: &mut TrainConfig) -> Result<Dataset, TrainError> {
-    if capture.train.len() < LEAST_VIEWS {
+    if capture.train.len() < MIN_VIEWS {
         let n = capture.train.len();
         return Err(TrainError::Invalid(format!(
-            "capture: {n} usable training photographs, at least {LEAST_VIEWS} are needed"
+            "capture: {n} usable training photographs, at least {MIN_VIEWS} are needed"
         )));
     }
-    if config.light.is_some() && capture.lit_by.is_none() {
+    if config.light.is_some() && capture.measured_light.is_none() {
         return Err(TrainError::Invalid("light: the capture came without the map it names".into()));
     }
-    if !capture.has_lights_turned(&config.light_rotation_per_photo) {
+    if !capture.has_light_rotations(&config.light_rotation_per_photo) {
         let reason = "the capture came without the turns of the light that are given here";
         return Err(TrainError::Invalid(format!("light_rotation_per_photo: {reason}")));
     }
@@ -100,7 +100,7 @@ fn prepare(capture: &Capture, config: &mut TrainConfig) -> Result<Dataset, Train
 
 /// The operators for a model's environment, its lights and visibility.
 pub(super) fn operators_of(model: &Model) -> Arc<EnvOperators> {
-    let order = model.gaussians.visibility_order();
-    let whole = EnvOperators::new(model.env_width, model.env_height, order, TableResolution::TRAINING);
+    let sh_degree = model.gaussians.visibility_degree();
+    let whole = EnvOperators::new(model.env_width, model.env_height, sh_degree, TableResolution::TRAINING);
     Arc::new(whole.with_lights(&model.lights))
 }

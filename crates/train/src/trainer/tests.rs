@@ -69,7 +69,7 @@ fn assert_checkpoint_excludes_a_non_finite_step(device: &Device) {
     let (capture, config) = small();
     let mut trainer = Trainer::new(&capture, config.clone(), device).unwrap();
     (0..2).for_each(|_| assert_eq!(trainer.step().unwrap().warning, None));
-    trainer.catch_up().unwrap();
+    trainer.wait_for_steps().unwrap();
     let mut state = trainer.engine.state().unwrap().into_owned();
     state.model.env_raw[5] = [f32::NAN; 3];
     trainer.engine.load(state).unwrap();
@@ -163,7 +163,7 @@ fn assert_reduced_model_continues_training(device: &Device) {
     assert_eq!(trainer.schedule.complexity.due(&trainer.config, 24), None, "all decisions are made");
     let model = trainer.model().unwrap();
     assert!(model.check().is_ok());
-    assert_eq!(trainer.operators.order(), model.gaussians.visibility_order());
+    assert_eq!(trainer.operators.sh_degree(), model.gaussians.visibility_degree());
     assert!(model.card["complexity"]["findings"].as_array().unwrap().len() >= 6, "{}", model.card);
 }
 

@@ -2,10 +2,10 @@
 //!
 //! Server and clients are this process, on loopback and in a temporary directory.
 
+mod active_load;
 mod args;
+mod fixture;
 mod memory;
-mod pressed;
-mod subject;
 mod timing;
 
 use std::time::Duration;
@@ -16,11 +16,11 @@ use crate::cli::bench::table::{head, machine, publish, row};
 use crate::cli::error::CommandResult;
 use crate::server::raise_file_limit;
 use crate::testing;
+use active_load::{ActiveLoad, OTHER_FILES};
 use args::Load;
+use fixture::Fixture;
 use memory::PeakMemory;
-use pressed::{OTHER_FILES, Pressed};
 use relume_engine::Device;
-use subject::Subject;
 use timing::{Thumbnails, Times};
 
 pub(super) use args::ServiceArgs;
@@ -59,8 +59,8 @@ async fn measure(args: &ServiceArgs) -> CommandResult<String> {
 
 async fn measure_on(client: relume_client::Client, args: &ServiceArgs) -> CommandResult<String> {
     eprintln!("training a model to render");
-    let subject = Subject::train(client, args).await?;
-    let mut thumbnails = Thumbnails::new(&subject, args.size);
+    let fixture = Fixture::train(client, args).await?;
+    let mut thumbnails = Thumbnails::new(&fixture, args.size);
     // Model and light are read by the first.
     thumbnails.next().await.ok_or("the first thumbnail was refused")?;
     let mut text = String::new();
@@ -70,9 +70,9 @@ async fn measure_on(client: relume_client::Client, args: &ServiceArgs) -> Comman
         }
         eprintln!("{}", load.name());
         let memory = PeakMemory::begin();
-        let pressed = Pressed::begin(load, &subject, args).await?;
+        let active_load = ActiveLoad::begin(load, &fixture, args).await?;
         let times = thumbnails.during(args.thumbnails, Duration::from_secs(args.seconds)).await;
-        let title = pressed.end().await?;
+        let title = active_load.end().await?;
         let line = row(cells(&title, &times, memory.mebibytes()));
         eprint!("{line}");
         text += &line;

@@ -3,12 +3,12 @@
 use std::time::{Duration, Instant};
 
 use crate::cli::bench::quantiles::Quantiles;
-use crate::cli::bench::service::subject::Subject;
+use crate::cli::bench::service::fixture::Fixture;
 use relume_api::ModelId;
 use relume_client::Client;
 
 /// How long one thumbnail is waited for.
-const PATIENCE: Duration = Duration::from_secs(30);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Asks for thumbnails of one model, each from another direction, so that no cache has it.
 pub(super) struct Thumbnails {
@@ -28,8 +28,8 @@ pub(super) struct Times {
 }
 
 impl Thumbnails {
-    pub(super) fn new(subject: &Subject, size: u32) -> Self {
-        Self { client: subject.client.clone(), model: subject.model.clone(), size, asked: 0 }
+    pub(super) fn new(fixture: &Fixture, size: u32) -> Self {
+        Self { client: fixture.client.clone(), model: fixture.model.clone(), size, asked: 0 }
     }
 
     /// Milliseconds of the next one; `None` when there was no picture.
@@ -38,7 +38,7 @@ impl Thumbnails {
         let azimuth = f64::from(self.asked) * 0.01;
         let query = format!("env=studio&size={}&azimuth={azimuth:.2}", self.size);
         let begin = Instant::now();
-        let answer = tokio::time::timeout(PATIENCE, self.client.thumbnail(&self.model, &query)).await;
+        let answer = tokio::time::timeout(ANSWER_TIMEOUT, self.client.thumbnail(&self.model, &query)).await;
         let ms = begin.elapsed().as_secs_f64() * 1e3;
         match answer {
             Ok(Ok(_)) => Some(ms),

@@ -60,10 +60,10 @@ pub(super) fn run(args: &TradeoffArgs) -> CommandResult {
     devices.extend(Some(Device::open(args.device)?).filter(Device::is_gpu));
     let mut rows = Vec::new();
     for path in &args.models {
-        let subject = BenchModel::read(path)?;
-        let truths = truths(args, &capture, &subject)?;
+        let bench_model = BenchModel::read(path)?;
+        let truths = truths(args, &capture, &bench_model)?;
         for device in &devices {
-            rows.extend(measure(args, &capture, &subject, device, &truths)?);
+            rows.extend(measure(args, &capture, &bench_model, device, &truths)?);
         }
     }
     let introduction = format!(
@@ -83,7 +83,7 @@ pub(super) fn run(args: &TradeoffArgs) -> CommandResult {
 }
 
 /// Frames by light and view.
-type Truths = BTreeMap<(usize, usize), Frame>;
+type ReferenceFrames = BTreeMap<(usize, usize), Frame>;
 
 /// The views and lights that are compared.
 fn cases<'a>(
@@ -103,16 +103,20 @@ fn cases<'a>(
 }
 
 /// The pictures of the Monte-Carlo tier with many samples, from a seed that no row has.
-fn truths(args: &TradeoffArgs, capture: &Capture, subject: &BenchModel) -> CommandResult<Truths> {
+fn truths(
+    args: &TradeoffArgs,
+    capture: &Capture,
+    bench_model: &BenchModel,
+) -> CommandResult<ReferenceFrames> {
     let (views, lights) = cases(args, capture)?;
-    let renderer = Renderer::new(subject.model.clone());
+    let renderer = Renderer::new(bench_model.model.clone());
     let quality = Quality { seed: 1, ..Quality::monte_carlo(args.truth_samples) };
     let mut out = BTreeMap::new();
     for (l, name) in lights.iter().enumerate() {
         let light = renderer.prepare_light(&capture.lights[*name])?;
         for (v, view) in views.iter().enumerate() {
             out.insert((l, v), renderer.render(&view.camera, &light, quality, &[Output::Rgb])?);
-            eprintln!("{}: {} samples of view {} under {name}", subject.name, quality.samples, view.name);
+            eprintln!("{}: {} samples of view {} under {name}", bench_model.name, quality.samples, view.name);
         }
     }
     Ok(out)
@@ -122,12 +126,12 @@ fn truths(args: &TradeoffArgs, capture: &Capture, subject: &BenchModel) -> Comma
 fn measure(
     args: &TradeoffArgs,
     capture: &Capture,
-    subject: &BenchModel,
+    bench_model: &BenchModel,
     device: &Device,
-    truths: &Truths,
+    truths: &ReferenceFrames,
 ) -> CommandResult<Vec<Row>> {
     let (views, lights) = cases(args, capture)?;
-    let renderer = Renderer::on(subject.model.clone(), device)?;
+    let renderer = Renderer::on(bench_model.model.clone(), device)?;
     let sampled = args.samples.iter().map(|n| Quality::monte_carlo(*n));
     let fast = [Tier::Preview, Tier::Standard, Tier::High].map(Quality::from);
     // Only these two run on a GPU.
@@ -148,7 +152,7 @@ fn measure(
         }
     }
     let n = lights.len() as f64;
-    Ok(wanted.iter().zip(sums).map(|(quality, sum)| sum.row(subject, device, *quality, n)).collect())
+    Ok(wanted.iter().zip(sums).map(|(quality, sum)| sum.row(bench_model, device, *quality, n)).collect())
 }
 
 /// A frame and the least time it took, milliseconds.
@@ -196,12 +200,12 @@ impl ErrorSums {
         }
     }
 
-    fn row(self, subject: &BenchModel, device: &Device, quality: Quality, lights: f64) -> Row {
+    fn row(self, bench_model: &BenchModel, device: &Device, quality: Quality, lights: f64) -> Row {
         let frame_ms = self.ms / self.frames;
         Row {
-            model: subject.name.clone(),
-            preset: subject.setting("preset"),
-            training_seconds: subject.training_seconds(),
+            model: bench_model.name.clone(),
+            preset: bench_model.setting("preset"),
+            training_seconds: bench_model.training_seconds(),
             device: device.name(),
             quality,
             frame_ms,

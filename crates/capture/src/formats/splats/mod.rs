@@ -1,7 +1,7 @@
 //! Gaussians as programs for splats take them: shape, opacity, colour as spherical harmonics, and beside these the material.
 //! What every writer of such files begins with.
 
-mod turn;
+mod y_up;
 
 use glam::{DQuat, DVec3, Vec3};
 
@@ -9,11 +9,11 @@ use relume_scene::srgb;
 use relume_scene::{Field, Model, NormalForm, sh_count};
 
 /// Highest SH degree of the colour that files of splats have.
-pub const MOST_DEGREE: usize = 3;
+pub const MAX_SPLAT_SH_DEGREE: usize = 3;
 /// Value of the first harmonic.
 const Y_0: f32 = 0.282_094_8;
 /// Largest magnitude of the logarithm of a standard deviation, so that the deviation itself is a positive f32.
-const MOST_LOG_SCALE: f32 = 80.0;
+const MAX_LOG_SCALE: f32 = 80.0;
 
 /// What a picture of a model's surface can show of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,7 +30,7 @@ pub enum Layer {
 
 /// Material of a Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Material {
+pub struct SplatMaterial {
     /// Base colour, linear Rec.709, 0 to 1.
     pub albedo: [f32; 3],
     /// Metalness, 0 to 1.
@@ -50,22 +50,22 @@ pub struct Splats {
     pub log_scales: Vec<[f32; 3]>,
     /// Opacities before the sigmoid.
     pub opacity_logits: Vec<f32>,
-    /// SH degree of the colour, at most [`MOST_DEGREE`].
+    /// SH degree of the colour, at most [`MAX_SPLAT_SH_DEGREE`].
     pub degree: usize,
     /// `(degree + 1)^2` coefficients a Gaussian, `l * l + l + m`, of the sRGB-encoded colour minus 1/2 by the direction from the camera.
     pub harmonics: Vec<[f32; 3]>,
     /// Shading normals, unit; zero where a model has none.
     pub normals: Vec<Vec3>,
     /// Materials.
-    pub materials: Vec<Material>,
+    pub materials: Vec<SplatMaterial>,
 }
 
 impl Splats {
-    /// The Gaussians of a checked model with the colour of its radiance branch; degrees beyond [`MOST_DEGREE`] are left out.
+    /// The Gaussians of a checked model with the colour of its radiance branch; degrees beyond [`MAX_SPLAT_SH_DEGREE`] are left out.
     pub fn of(model: &Model) -> Self {
         let g = &model.gaussians;
         let every = 0..g.len();
-        let degree = g.radiance_order().min(MOST_DEGREE);
+        let degree = g.radiance_degree().min(MAX_SPLAT_SH_DEGREE);
         let shrink = model.world_scale.ln() as f32;
         let harmonics = |i| g.row(Field::Radiance, i).as_chunks::<3>().0[..sh_count(degree)].iter().copied();
         Self {
@@ -92,7 +92,7 @@ impl Splats {
 
     /// Standard deviations of Gaussian `i`, positive and finite.
     pub fn scale(&self, i: usize) -> [f32; 3] {
-        self.log_scales[i].map(|s| s.clamp(-MOST_LOG_SCALE, MOST_LOG_SCALE).exp())
+        self.log_scales[i].map(|s| s.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp())
     }
 
     /// Opacity of Gaussian `i`, 0 to 1.
@@ -163,9 +163,9 @@ fn orientation(model: &Model, i: usize) -> DQuat {
     if q.length() > 1e-12 { q.normalize() } else { DQuat::IDENTITY }
 }
 
-fn material(model: &Model, i: usize) -> Material {
+fn material(model: &Model, i: usize) -> SplatMaterial {
     let g = &model.gaussians;
-    Material {
+    SplatMaterial {
         albedo: albedo(model, i),
         metallic: sigmoid(g.row(Field::MetalLogit, i)[0]),
         roughness: sigmoid(g.row(Field::RoughLogit, i)[0]),

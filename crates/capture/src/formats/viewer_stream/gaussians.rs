@@ -9,17 +9,17 @@ use relume_scene::{Field, Framing, Gaussians, Model, NormalForm};
 
 const MAGIC: [u8; 4] = *b"RLMG";
 /// Logits beyond are 0 or 1 to all that is shown of them.
-const MOST_LOGIT: f32 = 12.0;
+const MAX_LOGIT: f32 = 12.0;
 /// Beyond it sheen counts no more (docs/MODEL.md section 1).
-const MOST_SHEEN: f32 = 3.0;
+const MAX_SHEEN: f32 = 3.0;
 /// Logarithms of standard deviations are limited to this as they are drawn.
-const MOST_LOG_SCALE: f32 = 60.0;
+const MAX_LOG_SCALE: f32 = 60.0;
 
 /// Indices of the Gaussians, the most important first: by opacity times the area of the broadest side, then by index.
 pub fn importance_order(g: &Gaussians) -> Vec<usize> {
     let importance: Vec<f32> = (0..g.len())
         .map(|i| {
-            let mut scales = g.get::<3>(Field::LogScale, i).map(|s| s.clamp(-MOST_LOG_SCALE, MOST_LOG_SCALE));
+            let mut scales = g.get::<3>(Field::LogScale, i).map(|s| s.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE));
             scales.sort_by(f32::total_cmp);
             let area = scales[1] + scales[2];
             // In logarithms, which do not overflow.
@@ -39,7 +39,7 @@ pub fn encode_gaussians(model: &Model, framing: &Framing) -> Vec<u8> {
         order.iter().flat_map(|&i| g.row(field, i)).map(|v| v.clamp(-most, most)).collect()
     };
     let rows = |row: &dyn Fn(usize) -> [f32; 3]| -> Vec<f32> { order.iter().flat_map(|&i| row(i)).collect() };
-    let (bounds, log_scales) = separated(column(Field::LogScale, MOST_LOG_SCALE));
+    let (bounds, log_scales) = separated(column(Field::LogScale, MAX_LOG_SCALE));
     let coefficients = g.width(Field::Visibility);
     let records = [
         Quantity::full("mean", 3, column(Field::Mean, f32::MAX)),
@@ -50,11 +50,11 @@ pub fn encode_gaussians(model: &Model, framing: &Framing) -> Vec<u8> {
             [-1.0, 1.0],
             order.iter().flat_map(|&i| rotation(g, i)).collect(),
         ),
-        Quantity::fine("opacity", 1, column(Field::OpacityLogit, MOST_LOGIT)),
+        Quantity::fine("opacity", 1, column(Field::OpacityLogit, MAX_LOGIT)),
         Quantity::half("normal", 3, rows(&|i| normal(model, i))),
-        Quantity::fine("metal", 1, column(Field::MetalLogit, MOST_LOGIT)),
-        Quantity::fine("rough", 1, column(Field::RoughLogit, MOST_LOGIT)),
-        Quantity::fine("sheen", 1, column(Field::Sheen, MOST_SHEEN)),
+        Quantity::fine("metal", 1, column(Field::MetalLogit, MAX_LOGIT)),
+        Quantity::fine("rough", 1, column(Field::RoughLogit, MAX_LOGIT)),
+        Quantity::fine("sheen", 1, column(Field::Sheen, MAX_SHEEN)),
         Quantity::fine("albedo", 3, rows(&|i| albedo(model, i))),
         Quantity::coarse("visibility", coefficients, column(Field::Visibility, f32::MAX)),
     ];

@@ -57,7 +57,7 @@ pub fn encode_light(light: &StreamedLight<'_>) -> Vec<u8> {
         ("diffuse_nodes".to_owned(), json!(light.diffuse_nodes)),
         ("coefficients".to_owned(), json!(light.coefficients)),
         ("specular_nodes".to_owned(), json!(light.specular_nodes)),
-        ("lights".to_owned(), light.lights.iter().map(described).collect()),
+        ("lights".to_owned(), light.lights.iter().map(to_json).collect()),
     ]);
     if let Some(map) = &light.map {
         facts.insert("map".to_owned(), json!({ "width": map.width(), "height": map.height() }));
@@ -66,6 +66,6 @@ pub fn encode_light(light: &StreamedLight<'_>) -> Vec<u8> {
     encode(MAGIC, facts, &arrays, &records)
 }
 
-fn described(light: &SplitLight) -> Value {
+fn to_json(light: &SplitLight) -> Value {
     json!({ "direction": light.direction, "radius": light.radius })
 }

@@ -24,8 +24,8 @@ fn encode(
 ) -> Vec<u8> {
     let count = records.first().map_or(0, Quantity::rows);
     let stride: usize = records.iter().map(Quantity::row_bytes).sum();
-    facts.insert("arrays".to_owned(), arrays.iter().map(Quantity::described).collect());
-    let fields: Value = records.iter().map(Quantity::described).collect();
+    facts.insert("arrays".to_owned(), arrays.iter().map(Quantity::to_json).collect());
+    let fields: Value = records.iter().map(Quantity::to_json).collect();
     facts.insert("records".to_owned(), json!({ "count": count, "stride": stride, "fields": fields }));
     let mut header = Value::Object(facts).to_string().into_bytes();
     header.resize(header.len().next_multiple_of(4), b' ');

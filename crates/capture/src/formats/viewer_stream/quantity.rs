@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 
 /// How a value is stored, little-endian.
 #[derive(Debug, Clone, PartialEq)]
-enum Encoding {
+enum ValueEncoding {
     /// As it is.
     F32,
     /// Divided by a scale.
@@ -21,27 +21,27 @@ enum Encoding {
 pub(super) struct Quantity {
     name: &'static str,
     components: usize,
-    encoding: Encoding,
+    encoding: ValueEncoding,
     values: Vec<f32>,
 }
 
 impl Quantity {
     /// In full.
     pub(super) fn full(name: &'static str, components: usize, values: Vec<f32>) -> Self {
-        Self { name, components, encoding: Encoding::F32, values }
+        Self { name, components, encoding: ValueEncoding::F32, values }
     }
 
     /// As half floats, scaled so that the largest is in their range.
     pub(super) fn half(name: &'static str, components: usize, values: Vec<f32>) -> Self {
         let most = values.iter().fold(0.0f32, |most, v| most.max(v.abs()));
         let scale = if most > 0.0 { (most / 32768.0).max(f32::MIN_POSITIVE) } else { 1.0 };
-        Self { name, components, encoding: Encoding::F16 { scale }, values }
+        Self { name, components, encoding: ValueEncoding::F16 { scale }, values }
     }
 
     /// In 65,536 steps between the bounds of each column.
     pub(super) fn fine(name: &'static str, components: usize, values: Vec<f32>) -> Self {
         let (low, high) = bounds(components, &values);
-        Self { name, components, encoding: Encoding::U16 { low, high }, values }
+        Self { name, components, encoding: ValueEncoding::U16 { low, high }, values }
     }
 
     /// In 65,536 steps between bounds that all columns share.
@@ -51,14 +51,14 @@ impl Quantity {
         [low, high]: [f32; 2],
         values: Vec<f32>,
     ) -> Self {
-        let encoding = Encoding::U16 { low: vec![low; components], high: vec![high; components] };
+        let encoding = ValueEncoding::U16 { low: vec![low; components], high: vec![high; components] };
         Self { name, components, encoding, values }
     }
 
     /// In 256 steps between the bounds of each column.
     pub(super) fn coarse(name: &'static str, components: usize, values: Vec<f32>) -> Self {
         let (low, high) = bounds(components, &values);
-        Self { name, components, encoding: Encoding::U8 { low, high }, values }
+        Self { name, components, encoding: ValueEncoding::U8 { low, high }, values }
     }
 
     pub(super) fn rows(&self) -> usize {
@@ -68,19 +68,19 @@ impl Quantity {
     pub(super) fn row_bytes(&self) -> usize {
         self.components
             * match self.encoding {
-                Encoding::F32 => 4,
-                Encoding::F16 { .. } | Encoding::U16 { .. } => 2,
-                Encoding::U8 { .. } => 1,
+                ValueEncoding::F32 => 4,
+                ValueEncoding::F16 { .. } | ValueEncoding::U16 { .. } => 2,
+                ValueEncoding::U8 { .. } => 1,
             }
     }
 
     /// What a reader has to know of it. The count is that of an array; records say theirs once.
-    pub(super) fn described(&self) -> Value {
+    pub(super) fn to_json(&self) -> Value {
         let how = match &self.encoding {
-            Encoding::F32 => json!({ "type": "f32" }),
-            Encoding::F16 { scale } => json!({ "type": "f16", "scale": scale }),
-            Encoding::U16 { low, high } => json!({ "type": "u16", "low": low, "high": high }),
-            Encoding::U8 { low, high } => json!({ "type": "u8", "low": low, "high": high }),
+            ValueEncoding::F32 => json!({ "type": "f32" }),
+            ValueEncoding::F16 { scale } => json!({ "type": "f16", "scale": scale }),
+            ValueEncoding::U16 { low, high } => json!({ "type": "u16", "low": low, "high": high }),
+            ValueEncoding::U8 { low, high } => json!({ "type": "u8", "low": low, "high": high }),
         };
         let mut out = json!({ "name": self.name, "components": self.components, "count": self.rows() });
         if let (Value::Object(out), Value::Object(how)) = (&mut out, how) {
@@ -93,12 +93,12 @@ impl Quantity {
         let values = &self.values[row * self.components..(row + 1) * self.components];
         for (k, &value) in values.iter().enumerate() {
             match &self.encoding {
-                Encoding::F32 => out.extend(value.to_le_bytes()),
-                Encoding::F16 { scale } => out.extend(f16::from_f32(value / scale).to_le_bytes()),
-                Encoding::U16 { low, high } => {
+                ValueEncoding::F32 => out.extend(value.to_le_bytes()),
+                ValueEncoding::F16 { scale } => out.extend(f16::from_f32(value / scale).to_le_bytes()),
+                ValueEncoding::U16 { low, high } => {
                     out.extend((share(value, low[k], high[k], 65535.0) as u16).to_le_bytes());
                 }
-                Encoding::U8 { low, high } => out.push(share(value, low[k], high[k], 255.0) as u8),
+                ValueEncoding::U8 { low, high } => out.push(share(value, low[k], high[k], 255.0) as u8),
             }
         }
     }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::cpu::objective::sign;
 use crate::cpu::{BufferGradient, Pass, normalise, normalise_backward};
 use relume_layout::channel;
-use relume_layout::constants::{DEPTH_JUMP, LEAST_COVERAGE, TRUSTED_COVERAGE};
+use relume_layout::constants::{MAX_DEPTH_STEP, MIN_COVERAGE, TRUSTED_COVERAGE};
 
 type Vec3 = [f32; 3];
 
@@ -44,7 +44,7 @@ fn consistency(pass: &Pass, depth: &[f32], x: usize, y: usize, weight: f32) -> O
     let w = pass.view.width;
     let i = y * w + x;
     let t = [depth[i], depth[i + 1], depth[i + w]];
-    if t.iter().any(|t| *t <= 0.0) || t.iter().any(|v| (v - t[0]).abs() > DEPTH_JUMP * t[0]) {
+    if t.iter().any(|t| *t <= 0.0) || t.iter().any(|v| (v - t[0]).abs() > MAX_DEPTH_STEP * t[0]) {
         return None;
     }
     let rays = [pass.view.ray(x, y), pass.view.ray(x + 1, y), pass.view.ray(x, y + 1)];
@@ -139,7 +139,7 @@ pub fn smoothness(pass: &Pass, image: &[[f32; 3]], weights: [f32; 3], out: &mut 
         .map(|i| {
             let (x, y) = (i % w, i / w);
             let inverse = 1.0 / pass.at(x, y, channel::COVERAGE).max(1e-6);
-            let covered = pass.at(x, y, channel::COVERAGE) >= LEAST_COVERAGE;
+            let covered = pass.at(x, y, channel::COVERAGE) >= MIN_COVERAGE;
             let keep = if covered { inverse } else { 0.0 };
             let n = channel::NORMAL.start;
             [channel::METAL, channel::ROUGH, n, n + 1, n + 2].map(|c| pass.at(x, y, c) * keep)
@@ -190,7 +190,7 @@ pub fn smoothness(pass: &Pass, image: &[[f32; 3]], weights: [f32; 3], out: &mut 
     let total: f64 = found.iter().map(|(_, value)| value).sum();
     out.par_iter_mut().enumerate().with_min_len(1024).for_each(|(i, o)| {
         let coverage = pass.at(i % w, i / w, channel::COVERAGE);
-        if coverage < LEAST_COVERAGE {
+        if coverage < MIN_COVERAGE {
             return;
         }
         let (inverse, g, a) = (1.0 / coverage, found[i].0, attributes[i]);

@@ -17,12 +17,12 @@ pub struct Target<'p> {
     height: usize,
     /// Row-major RGB.
     pub pixels: &'p [[f32; 3]],
-    channels: Vec<Channel>,
+    channels: Vec<ChannelStatistics>,
 }
 
 /// One colour of a photograph.
 #[derive(Debug, Clone)]
-struct Channel {
+struct ChannelStatistics {
     plane: Vec<f32>,
     mean: Vec<f32>,
     mean_of_square: Vec<f32>,
@@ -56,7 +56,7 @@ impl<'p> Target<'p> {
             let squares: Vec<f32> = plane.iter().map(|v| v * v).collect();
             let (mean, mean_of_square) =
                 rayon::join(|| blur(width, height, &plane), || blur(width, height, &squares));
-            Channel { plane, mean, mean_of_square }
+            ChannelStatistics { plane, mean, mean_of_square }
         };
         let channels = [0, 1, 2].into_par_iter().map(statistics).collect();
         Self { width, height, pixels, channels }
@@ -96,7 +96,7 @@ impl<'p> Target<'p> {
     fn ssim_channel(&self, image: &[[f32; 3]], c: usize, weight: f32) -> (f64, Vec<f32>) {
         let (w, h) = (self.width, self.height);
         let a: Vec<f32> = image.iter().map(|p| p[c]).collect();
-        let Channel { plane: b, mean: mean_b, mean_of_square: mean_bb } = &self.channels[c];
+        let ChannelStatistics { plane: b, mean: mean_b, mean_of_square: mean_bb } = &self.channels[c];
         let squares: Vec<f32> = a.iter().map(|v| v * v).collect();
         let products: Vec<f32> = a.iter().zip(b).map(|(x, y)| x * y).collect();
         let (mean_a, mean_aa) = (blur(w, h, &a), blur(w, h, &squares));

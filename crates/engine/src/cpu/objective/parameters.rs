@@ -6,7 +6,7 @@ use crate::Gradients;
 use crate::cpu::objective::{sign, sum};
 use crate::cpu::{self, MAX_COEFFICIENTS, Pass};
 use crate::objective::upward_share;
-use relume_layout::constants::{LABEL_MARGIN, LEAST_LABEL_WEIGHT, SIGMOID_MARGIN};
+use relume_layout::constants::{LABEL_MARGIN, MIN_LABEL_WEIGHT, SIGMOID_MARGIN};
 use relume_scene::light::{LUMINANCE, LightColour, UPWARD_LUMINANCE, luminance, sh_eval};
 use relume_scene::{Field, Gaussians, VisibilityForm};
 
@@ -76,17 +76,17 @@ pub fn backward_labels(
 ) -> f32 {
     let sigmoid_form = form == VisibilityForm::Sigmoid;
     let labels = cpu::backward_labels(pass);
-    let counted = labels.iter().filter(|l| l.weight > LEAST_LABEL_WEIGHT).count();
+    let counted = labels.iter().filter(|l| l.weight > MIN_LABEL_WEIGHT).count();
     let scale = weight / counted.max(1) as f32;
-    let (order, width) = (g.visibility_order(), g.width(Field::Visibility));
+    let (sh_degree, width) = (g.visibility_degree(), g.width(Field::Visibility));
     let layout = out.layout;
     let mut total = 0.0f64;
-    for (splat, label) in pass.splats.iter().zip(&labels).filter(|(_, l)| l.weight > LEAST_LABEL_WEIGHT) {
+    for (splat, label) in pass.splats.iter().zip(&labels).filter(|(_, l)| l.weight > MIN_LABEL_WEIGHT) {
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = g.get(Field::Mean, i);
         let (direction, _) = cpu::normalise(std::array::from_fn(|k| mean[k] - pass.view.centre[k]));
         let mut y = [0.0f32; MAX_COEFFICIENTS];
-        sh_eval(order, direction, &mut y);
+        sh_eval(sh_degree, direction, &mut y);
         let raw: f32 = g.row(Field::Visibility, i).iter().zip(&y).map(|(c, y)| c * y).sum();
         let p = label.transmittance;
         let (v, by_raw) = if sigmoid_form {

@@ -9,7 +9,7 @@ use std::sync::{Mutex, OnceLock};
 use rayon::prelude::*;
 
 use crate::gpu::frame::{FrameBranches, FramePass};
-use crate::gpu::frames::light::FrameLight;
+use crate::gpu::frames::light::GpuFrameLight;
 use crate::gpu::gather::{LightProbes, gather, ungathered};
 use crate::gpu::light::{Constants, LightBuffers};
 use crate::gpu::lock::locked;
@@ -18,12 +18,12 @@ use crate::gpu::permutations::groups;
 use crate::gpu::probes::{self, ProbeBuffers};
 use crate::gpu::raster::{Projected, Raster};
 use crate::gpu::rays::{RayMemory, TreeBuffers};
-use crate::gpu::resolve::{LightFrom, Planes};
+use crate::gpu::resolve::{PixelLight, Planes};
 use crate::gpu::shading::Shading;
-use crate::gpu::{Arrival, AttributeSource, Buffer, CameraUniform, Gpu, Recorder, Ticket};
+use crate::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, ReadbackData, ReadbackTicket, Recorder};
 use crate::{
-    BOUNCES, DeviceError, DeviceFrames, DeviceLight, Frame, FrameJob, PROBE_DIRECTIONS, ProbeSettings,
-    RasterCamera, RayLight, RayTree, ShadeColour, fibonacci_sphere, indirect_basis,
+    BOUNCES, ColourMode, DeviceError, DeviceLight, DeviceRenderer, Frame, FrameJob, PROBE_DIRECTIONS,
+    ProbeSettings, RasterCamera, RayLight, RayTree, fibonacci_sphere, indirect_basis,
 };
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
@@ -44,19 +44,19 @@ struct Scratch {
 }
 
 /// A finished model in device memory. Shared between threads.
-pub struct Frames {
+pub struct GpuFrameRenderer {
     gpu: Gpu,
     /// The model without indirect light.
     source: AttributeSource,
     options: ShadingOptions,
-    order: usize,
+    sh_degree: usize,
     constants: Constants,
     scratch: Mutex<Scratch>,
     /// What hides what along a ray, once it was needed.
     tree: OnceLock<TreeBuffers>,
 }
 
-impl Frames {
+impl GpuFrameRenderer {
     /// Uploads `model`.
     ///
     /// # Errors
@@ -72,7 +72,7 @@ impl Frames {
         Ok(Self {
             source,
             options: model.shading,
-            order: model.gaussians.visibility_order(),
+            sh_degree: model.gaussians.visibility_degree(),
             constants: Constants::upload(gpu)?,
             scratch: Mutex::new(Scratch {
                 raster: Raster::new(gpu)?,
@@ -89,7 +89,7 @@ impl Frames {
         let settings = ProbeSettings::of(&self.options);
         let directions = fibonacci_sphere(PROBE_DIRECTIONS);
         let AttributeSource { params, layout, .. } = &self.source;
-        probes::measure(&self.gpu, params, layout, settings, &directions, self.order)
+        probes::measure(&self.gpu, params, layout, settings, &directions, self.sh_degree)
     }
 
     /// All channels of the model.
@@ -98,7 +98,7 @@ impl Frames {
     }
 
     /// The model under `light`.
-    fn lit_source(&self, light: &FrameLight) -> AttributeSource {
+    fn lit_source(&self, light: &GpuFrameLight) -> AttributeSource {
         AttributeSource {
             gathered: light.gathered.clone(),
             indirect_basis: Some(light.buffers.indirect_basis.clone()),
@@ -121,20 +121,20 @@ impl Frames {
         &self,
         view: &RasterCamera,
         source: &AttributeSource,
-        draw: impl Fn(&mut Recorder<'_>, Projected<'_>, Kept<'_>) -> Result<Drawn, DeviceError>,
+        draw: impl Fn(&mut Recorder<'_>, Projected<'_>, FrameScratch<'_>) -> Result<PendingOutputs, DeviceError>,
     ) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
         loop {
             let mut scratch = locked(&self.scratch);
             let Scratch { raster, planes, rays, .. } = &mut *scratch;
             let mut recorder = self.gpu.record();
             let projected = raster.record(&mut recorder, &CameraUniform::new(view), source)?;
-            let listed = recorder.fetch(projected.listed(), 0..projected.listed().len());
-            let drawn = draw(&mut recorder, projected, Kept { planes, rays })?;
+            let list_status = recorder.fetch(projected.list_status(), 0..projected.list_status().len());
+            let drawn = draw(&mut recorder, projected, FrameScratch { planes, rays })?;
             let submission = recorder.submit()?;
             // The device works in the order of submissions: what the next frame writes, this one has brought back.
             drop(scratch);
-            let arrival = submission.arrive()?;
-            if locked(&self.scratch).raster.settle(&arrival.read(&listed)?)? {
+            let arrival = submission.wait_for_data()?;
+            if locked(&self.scratch).raster.apply_list_status(&arrival.read(&list_status)?)? {
                 return drawn.planes(&arrival);
             }
         }
@@ -170,11 +170,11 @@ impl Frames {
         recorder: &mut Recorder<'_>,
         projected: Projected<'_>,
         shading: &Shading,
-    ) -> Result<Drawn, DeviceError> {
+    ) -> Result<PendingOutputs, DeviceError> {
         let shaded = projected.attributes(recorder, Channels::Material)?.colours(recorder, shading)?;
         let frame = shaded.blend(recorder, EarlyStop::WhenSaturated)?;
         let pixels = frame.camera().pixels();
-        Ok(Drawn::Colours(recorder.fetch(frame.gbuffer(), 0..pixels)))
+        Ok(PendingOutputs::Colours(recorder.fetch(frame.gbuffer(), 0..pixels)))
     }
 
     fn outputs(
@@ -184,14 +184,14 @@ impl Frames {
         shading: &Shading,
         planes: &mut Option<Planes>,
         job: &FrameJob<'_>,
-    ) -> Result<Drawn, DeviceError> {
+    ) -> Result<PendingOutputs, DeviceError> {
         let pass = FramePass {
             channels: self.full(),
             blending: EarlyStop::WhenSaturated,
             branches: FrameBranches::Both(Box::new(shading.clone())),
         };
         let frame = pass.forward(recorder, projected)?;
-        self.resolved(recorder, frame.camera(), frame.gbuffer(), (shading, LightFrom::Tables), planes, job)
+        self.resolved(recorder, frame.camera(), frame.gbuffer(), (shading, PixelLight::Tables), planes, job)
     }
 
     /// The outputs of a G-buffer.
@@ -200,10 +200,10 @@ impl Frames {
         recorder: &mut Recorder<'_>,
         camera: &CameraUniform,
         gbuffer: &Buffer<[f32; 4]>,
-        (shading, light): (&Shading, LightFrom<'_>),
+        (shading, light): (&Shading, PixelLight<'_>),
         planes: &mut Option<Planes>,
         job: &FrameJob<'_>,
-    ) -> Result<Drawn, DeviceError> {
+    ) -> Result<PendingOutputs, DeviceError> {
         if !planes.as_ref().is_some_and(|p| p.fits(camera.pixels(), job.outputs)) {
             *planes = None;
         }
@@ -213,26 +213,26 @@ impl Frames {
         };
         recorder.stage("resolve");
         planes.resolve(recorder, camera, shading, gbuffer, light, job.depth_scale)?;
-        Ok(Drawn::Outputs(planes.fetch(recorder)))
+        Ok(PendingOutputs::Outputs(planes.fetch(recorder)))
     }
 }
 
 /// Memory of [`Scratch`] that a drawing takes.
-struct Kept<'a> {
+struct FrameScratch<'a> {
     planes: &'a mut Option<Planes>,
     rays: &'a mut RayMemory,
 }
 
 /// What a submission brings back of a frame.
-enum Drawn {
+enum PendingOutputs {
     /// Coverage and colour of each pixel.
-    Colours(Ticket<[f32; 4]>),
+    Colours(ReadbackTicket<[f32; 4]>),
     /// Each output by itself.
-    Outputs(Vec<(Output, Ticket<f32>)>),
+    Outputs(Vec<(Output, ReadbackTicket<f32>)>),
 }
 
-impl Drawn {
-    fn planes(self, arrival: &Arrival) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
+impl PendingOutputs {
+    fn planes(self, arrival: &ReadbackData) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
         match self {
             Self::Colours(pixels) => arrival.with(&pixels, |pixels: &[[f32; 4]]| {
                 let (mut rgb, mut alpha) = (vec![[0.0; 3]; pixels.len()], vec![0.0; pixels.len()]);
@@ -251,9 +251,9 @@ impl Drawn {
     }
 }
 
-impl DeviceFrames for Frames {
+impl DeviceRenderer for GpuFrameRenderer {
     fn prepare_light(&self, tables: &LightTables) -> Result<DeviceLight, DeviceError> {
-        let buffers = LightBuffers::upload(&self.gpu, tables, self.order, &indirect_basis(tables))?;
+        let buffers = LightBuffers::upload(&self.gpu, tables, self.sh_degree, &indirect_basis(tables))?;
         let mut scratch = locked(&self.scratch);
         let AttributeSource { params, layout, .. } = &self.source;
         let lights: Vec<SplitLight> = tables.lights.iter().map(SplitLight::from).collect();
@@ -265,7 +265,7 @@ impl DeviceFrames for Frames {
                 None => None,
             };
             recorder.submit()?;
-            return Ok(Box::new(FrameLight::new(buffers, arriving)));
+            return Ok(Box::new(GpuFrameLight::new(buffers, arriving)));
         }
         let probes = match &mut scratch.probes {
             Some(probes) => probes,
@@ -274,20 +274,20 @@ impl DeviceFrames for Frames {
         let mut recorder = self.gpu.record();
         let gathered = gather(&mut recorder, probes, &self.source, &buffers, BOUNCES, lights.as_ref())?;
         recorder.submit()?;
-        Ok(Box::new(FrameLight::new(buffers, Some(gathered))))
+        Ok(Box::new(GpuFrameLight::new(buffers, Some(gathered))))
     }
 
     fn render(&self, job: &FrameJob<'_>, light: &DeviceLight) -> Result<Frame, DeviceError> {
         let light = prepared_here(light)?;
         let groups = match job.colour {
-            ShadeColour::Alone => 1,
-            ShadeColour::WithGBuffer => groups(self.full()),
+            ColourMode::Alone => 1,
+            ColourMode::WithGBuffer => groups(self.full()),
         };
         let (source, shading) = (self.lit_source(light), self.shading(&light.buffers));
         self.in_bands(&job.view, groups, |band, _| {
-            self.draw(band, &source, |recorder, projected, kept| match job.colour {
-                ShadeColour::Alone => self.colours(recorder, projected, &shading),
-                ShadeColour::WithGBuffer => self.outputs(recorder, projected, &shading, kept.planes, job),
+            self.draw(band, &source, |recorder, projected, reused| match job.colour {
+                ColourMode::Alone => self.colours(recorder, projected, &shading),
+                ColourMode::WithGBuffer => self.outputs(recorder, projected, &shading, reused.planes, job),
             })
         })
     }
@@ -303,7 +303,7 @@ impl DeviceFrames for Frames {
     }
 }
 
-fn prepared_here(light: &DeviceLight) -> Result<&FrameLight, DeviceError> {
+fn prepared_here(light: &DeviceLight) -> Result<&GpuFrameLight, DeviceError> {
     let foreign = || DeviceError::Misuse("the light was prepared for another device".to_owned());
-    light.downcast_ref::<FrameLight>().ok_or_else(foreign)
+    light.downcast_ref::<GpuFrameLight>().ok_or_else(foreign)
 }

@@ -3,56 +3,59 @@
 use std::sync::OnceLock;
 
 use crate::gpu::frame::{FrameBranches, FramePass};
-use crate::gpu::frames::Frames;
-use crate::gpu::frames::light::FrameLight;
+use crate::gpu::frames::GpuFrameRenderer;
+use crate::gpu::frames::light::GpuFrameLight;
 use crate::gpu::light::LightBuffers;
 use crate::gpu::permutations::groups;
 use crate::gpu::rays::{EnvironmentBuffers, Samples, TreeBuffers};
-use crate::gpu::resolve::LightFrom;
+use crate::gpu::resolve::PixelLight;
 use crate::{DeviceError, Frame, FrameJob, RasterCamera, RayLight, RayTree, indirect_basis};
 use relume_layout::constants::EarlyStop;
-use relume_scene::light::{DominantLight, EnvSampler, LightTables, Shares};
+use relume_scene::light::{DominantLight, EnvSampler, LightTables, SampleCounts};
 
 /// What `cell` holds, or what `make` gives from now on. Where two make it, one of the two is dropped.
-fn kept<T>(cell: &OnceLock<T>, make: impl FnOnce() -> Result<T, DeviceError>) -> Result<&T, DeviceError> {
-    if let Some(kept) = cell.get() {
-        return Ok(kept);
+fn get_or_try_init<T>(
+    cell: &OnceLock<T>,
+    make: impl FnOnce() -> Result<T, DeviceError>,
+) -> Result<&T, DeviceError> {
+    if let Some(reused) = cell.get() {
+        return Ok(reused);
     }
     let made = make()?;
     Ok(cell.get_or_init(|| made))
 }
 
-impl Frames {
+impl GpuFrameRenderer {
     /// A frame with light that is looked for along `rays`.
     pub(super) fn trace(
         &self,
         job: &FrameJob<'_>,
-        light: &FrameLight,
+        light: &GpuFrameLight,
         rays: &RayLight<'_>,
         tree: &dyn Fn() -> RayTree,
     ) -> Result<Frame, DeviceError> {
-        let tree = kept(&self.tree, || TreeBuffers::upload(&self.gpu, &tree()))?;
+        let tree = get_or_try_init(&self.tree, || TreeBuffers::upload(&self.gpu, &tree()))?;
         match *rays {
             RayLight::Sharp { lights, rest } => {
-                let rest = kept(&light.by_rays.rest, || self.upload_rest(rest))?;
+                let rest = get_or_try_init(&light.by_rays.rest, || self.upload_rest(rest))?;
                 self.under_sharp_lights(job, light, rest, lights, tree)
             }
             RayLight::Sampled { environment, samples, seed, pixels_before } => {
-                let shares = Shares::of(samples, environment);
+                let shares = SampleCounts::of(samples, environment);
                 self.sampled(job, light, environment, Samples { shares, seed, pixels_before }, tree)
             }
         }
     }
 
     fn upload_rest(&self, rest: &LightTables) -> Result<LightBuffers, DeviceError> {
-        LightBuffers::upload(&self.gpu, rest, self.order, &indirect_basis(rest))
+        LightBuffers::upload(&self.gpu, rest, self.sh_degree, &indirect_basis(rest))
     }
 
     /// From the tables of the rest, with a shadow of each light.
     fn under_sharp_lights(
         &self,
         job: &FrameJob<'_>,
-        light: &FrameLight,
+        light: &GpuFrameLight,
         rest: &LightBuffers,
         lights: &[DominantLight],
         tree: &TreeBuffers,
@@ -64,11 +67,11 @@ impl Frames {
             branches: FrameBranches::Both(Box::new(shading.clone())),
         };
         self.in_bands(&job.view, groups(self.full()), |band, _| {
-            self.draw(band, &source, |recorder, projected, kept| {
+            self.draw(band, &source, |recorder, projected, reused| {
                 let frame = pass.forward(recorder, projected)?;
-                let sent = kept.rays.sharp_lights(recorder, &frame, &self.options, tree, lights)?;
-                let light = (&shading, LightFrom::TablesAnd(&sent));
-                self.resolved(recorder, frame.camera(), frame.gbuffer(), light, kept.planes, job)
+                let sent = reused.rays.sharp_lights(recorder, &frame, &self.options, tree, lights)?;
+                let light = (&shading, PixelLight::TablesAnd(&sent));
+                self.resolved(recorder, frame.camera(), frame.gbuffer(), light, reused.planes, job)
             })
         })
     }
@@ -77,23 +80,24 @@ impl Frames {
     fn sampled(
         &self,
         job: &FrameJob<'_>,
-        light: &FrameLight,
+        light: &GpuFrameLight,
         environment: &EnvSampler,
         samples: Samples,
         tree: &TreeBuffers,
     ) -> Result<Frame, DeviceError> {
-        let environment =
-            kept(&light.by_rays.environment, || EnvironmentBuffers::upload(&self.gpu, environment))?;
+        let environment = get_or_try_init(&light.by_rays.environment, || {
+            EnvironmentBuffers::upload(&self.gpu, environment)
+        })?;
         let (source, shading) = (self.lit_source(light), self.shading(&light.buffers));
         let of_band = |band: &RasterCamera, first: usize| {
             let pixels_before = samples.pixels_before + (first * band.width) as u64;
             let samples = Samples { pixels_before, ..samples };
-            self.draw(band, &source, |recorder, projected, kept| {
+            self.draw(band, &source, |recorder, projected, reused| {
                 let attributed = projected.attributes(recorder, self.full())?;
                 let frame = attributed.blend(recorder, EarlyStop::WhenSaturated)?;
-                let sent = kept.rays.monte_carlo(recorder, &frame, tree, environment, &samples)?;
-                let light = (&shading, LightFrom::Alone(&sent));
-                self.resolved(recorder, frame.camera(), frame.gbuffer(), light, kept.planes, job)
+                let sent = reused.rays.monte_carlo(recorder, &frame, tree, environment, &samples)?;
+                let light = (&shading, PixelLight::Alone(&sent));
+                self.resolved(recorder, frame.camera(), frame.gbuffer(), light, reused.planes, job)
             })
         };
         self.in_bands(&job.view, groups(self.full()), of_band)

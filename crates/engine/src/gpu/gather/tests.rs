@@ -5,32 +5,32 @@ use crate::cpu::{Transport, outward_normals};
 use crate::gpu::Gpu;
 use crate::gpu::light::TablesUniform;
 use crate::gpu::model::planar;
-use crate::gpu::probes::tests::{Scene, read};
+use crate::gpu::probes::tests::{ProbeScene, read};
 use crate::gpu::shaders::assert_layout;
 use crate::gpu::shading::tests::error_of_entries;
 use crate::{ProbeSettings, fibonacci_sphere};
 use relume_scene::light::{LightTables, rendering_tables};
 use relume_scene::{EnvMap, Field, VisibilityForm};
 
-fn tables(order: usize) -> LightTables {
+fn tables(sh_degree: usize) -> LightTables {
     let sky = |d: glam::DVec3| [1.0 + d.z.max(0.0) as f32, 0.8 + 0.5 * d.x as f32, (d.y * d.y) as f32];
-    rendering_tables(&EnvMap::from_fn(16, 8, sky), order)
+    rendering_tables(&EnvMap::from_fn(16, 8, sky), sh_degree)
 }
 
-struct Case {
-    scene: Scene,
+struct GatherCase {
+    scene: ProbeScene,
     bounces: usize,
 }
 
-impl Case {
+impl GatherCase {
     /// What the device and the CPU gather, from the device's probes.
     fn gathered(&self, gpu: &Gpu) -> (Vec<f32>, Vec<f32>) {
-        let Scene { gaussians, prototypes, .. } = &self.scene;
+        let ProbeScene { gaussians, prototypes, .. } = &self.scene;
         let probes = self.scene.on_device(gpu, ProbeSettings::default(), &fibonacci_sphere(32));
-        let tables = tables(gaussians.visibility_order());
+        let tables = tables(gaussians.visibility_degree());
         let globals: Vec<f32> = prototypes.as_flattened().iter().copied().chain([f32::NAN; 5]).collect();
-        let order = gaussians.visibility_order();
-        let light = LightBuffers::upload(gpu, &tables, order, &[[0.0; 3]; 16]).unwrap();
+        let sh_degree = gaussians.visibility_degree();
+        let light = LightBuffers::upload(gpu, &tables, sh_degree, &[[0.0; 3]; 16]).unwrap();
         let source = AttributeSource {
             layout: self.scene.layout(),
             params: gpu.upload("params", &planar(gaussians)).unwrap(),
@@ -60,11 +60,11 @@ fn host_and_shaders_agree_on_the_structs() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn bounced_light_matches_the_cpu() {
     let gpu = Gpu::for_tests();
-    for (bounces, order) in [(1, 4), (2, 2), (4, 0), (0, 1)] {
-        let case = Case { scene: Scene::random(1, 300, order), bounces };
+    for (bounces, sh_degree) in [(1, 4), (2, 2), (4, 0), (0, 1)] {
+        let case = GatherCase { scene: ProbeScene::random(1, 300, sh_degree), bounces };
         let (got, expected) = case.gathered(&gpu);
         let error = error_of_entries(&got, &expected);
-        assert!(error < 1e-5, "{bounces} bounces, order {order}: {error}");
+        assert!(error < 1e-5, "{bounces} bounces, order {sh_degree}: {error}");
         let lit = expected.iter().filter(|v| **v > 1e-3).count();
         assert!(bounces == 0 || lit > 300, "only {lit} values are lit");
     }
@@ -74,10 +74,10 @@ fn bounced_light_matches_the_cpu() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn gathering_without_visibility_and_residuals_matches_the_cpu() {
     let gpu = Gpu::for_tests();
-    let mut scene = Scene::random(2, 200, 2);
+    let mut scene = ProbeScene::random(2, 200, 2);
     scene.options.visibility = VisibilityForm::Off;
     scene.gaussians.field_mut(Field::Residual).fill(0.0);
-    let (got, expected) = Case { scene, bounces: 2 }.gathered(&gpu);
+    let (got, expected) = GatherCase { scene, bounces: 2 }.gathered(&gpu);
     assert!(error_of_entries(&got, &expected) < 1e-5);
 }
 
@@ -85,15 +85,15 @@ fn gathering_without_visibility_and_residuals_matches_the_cpu() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn comparison_detects_other_materials_visibility_and_bounces() {
     let gpu = Gpu::for_tests();
-    let (_, expected) = Case { scene: Scene::random(1, 300, 2), bounces: 2 }.gathered(&gpu);
-    let plain = || Scene::random(1, 300, 2);
+    let (_, expected) = GatherCase { scene: ProbeScene::random(1, 300, 2), bounces: 2 }.gathered(&gpu);
+    let plain = || ProbeScene::random(1, 300, 2);
     let albedo = plain().with(|i, g| g.row_mut(Field::Residual, i)[1] += 0.05);
     let metal = plain().with(|i, g| g.row_mut(Field::MetalLogit, i)[0] += 0.1);
     let sky = plain().with(|i, g| g.row_mut(Field::Visibility, i)[2] += 0.1);
     for (name, scene, bounces) in
         [("one more bounce", plain(), 3), ("albedo", albedo, 2), ("metal", metal, 2), ("sky", sky, 2)]
     {
-        let error = error_of_entries(&Case { scene, bounces }.gathered(&gpu).0, &expected);
+        let error = error_of_entries(&GatherCase { scene, bounces }.gathered(&gpu).0, &expected);
         assert!(error.is_finite() && error > 1e-3, "{name}: {error}");
     }
 }
@@ -103,7 +103,7 @@ fn comparison_detects_other_materials_visibility_and_bounces() {
 fn no_gaussian_and_one_gaussian_gather_nothing() {
     let gpu = Gpu::for_tests();
     for n in [0, 1] {
-        let (got, expected) = Case { scene: Scene::random(1, n, 2), bounces: 2 }.gathered(&gpu);
+        let (got, expected) = GatherCase { scene: ProbeScene::random(1, n, 2), bounces: 2 }.gathered(&gpu);
         assert_eq!((&got, got.iter().all(|v| *v == 0.0)), (&expected, true));
     }
 }
@@ -112,7 +112,7 @@ fn no_gaussian_and_one_gaussian_gather_nothing() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn light_buffers_of_wrong_size_are_refused() {
     let gpu = Gpu::for_tests();
-    let scene = Scene::random(1, 3, 2);
+    let scene = ProbeScene::random(1, 3, 2);
     let probes = scene.on_device(&gpu, ProbeSettings::default(), &fibonacci_sphere(4));
     let (params, short) = (gpu.buffer("params", 400).unwrap(), gpu.buffer("short", 4).unwrap());
     let source = AttributeSource {
@@ -129,7 +129,7 @@ fn light_buffers_of_wrong_size_are_refused() {
         gather(&mut gpu.record(), &probes, source, light, 1, None).err()
     };
     assert_eq!(attempt(&source, &light), None);
-    let other = AttributeSource { layout: Scene::random(1, 4, 2).layout(), ..source.clone() };
+    let other = AttributeSource { layout: ProbeScene::random(1, 4, 2).layout(), ..source.clone() };
     for wrong in [other, AttributeSource { globals: short, ..source.clone() }] {
         assert!(matches!(attempt(&wrong, &light), Some(DeviceError::Misuse(_))));
     }

@@ -52,13 +52,13 @@ pub struct TablesUniform {
 }
 
 impl TablesUniform {
-    /// Where `tables`, for a visibility field of degree `order`, lie in one buffer.
-    pub fn new(tables: &LightTables, order: usize) -> Self {
+    /// Where `tables`, for a visibility field of degree `sh_degree`, lie in one buffer.
+    pub fn new(tables: &LightTables, sh_degree: usize) -> Self {
         let edge = |grid: &CubeGrid| grid.edge() as u32;
         let mut out = Self {
             diffuse_n: edge(&tables.diffuse_grid),
             coefficients: tables.coefficients as u32,
-            n_coefficients: sh_count(order) as u32,
+            n_coefficients: sh_count(sh_degree) as u32,
             ..Self::zeroed()
         };
         let mut next = tables.diffuse.len() as u32;
@@ -102,11 +102,11 @@ impl LightBuffers {
     pub fn upload(
         gpu: &Gpu,
         tables: &LightTables,
-        order: usize,
+        sh_degree: usize,
         indirect_basis: &[[f32; 3]; 16],
     ) -> Result<Self, DeviceError> {
         Ok(Self {
-            layout: TablesUniform::new(tables, order),
+            layout: TablesUniform::new(tables, sh_degree),
             values: gpu.upload("light tables", &tables.flat())?,
             indirect_basis: gpu.upload("indirect basis", indirect_basis.as_flattened())?,
         })

@@ -10,8 +10,8 @@ use crate::{indirect_basis, indirect_basis_backward};
 use relume_compare::relative_error;
 use relume_scene::light::{EnvOperators, LUMINANCE, LightColour, TableResolution, UPWARD_LUMINANCE};
 use relume_scene::{
-    ColumnTurn, Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, ShadingOptions, SplitLight, softplus,
-    texel_directions,
+    ColumnShift, Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, ShadingOptions, SplitLight,
+    softplus, texel_directions,
 };
 
 const WEIGHTS: LightWeights = LightWeights {
@@ -108,7 +108,7 @@ fn light_tables_and_basis_match_the_host() {
 fn assert_tables_and_basis_match_the_host(gpu: &Gpu, model: &Model, turn: f64) {
     let run = applied(gpu, model, turn);
     let host = |radiance: &[[f32; 3]], turn: f64| {
-        run.operators.apply(&ColumnTurn::new(turn, model.env_width).apply(radiance))
+        run.operators.apply(&ColumnShift::new(turn, model.env_width).apply(radiance))
     };
     let expected = host(&radiance(model), turn);
     let light = &run.light.light;
@@ -159,7 +159,7 @@ fn assert_light_gradient_is_transposed_operator_plus_terms(gpu: &Gpu, turn: f64)
     recorder.submit().unwrap();
     let found = gpu.read(&out, 6..out.len()).unwrap();
     indirect_basis_backward(&by_basis, &mut by_tables);
-    let turned = ColumnTurn::new(turn, model.env_width);
+    let turned = ColumnShift::new(turn, model.env_width);
     let mut expected = turned.apply_transposed(&run.operators.apply_transposed(&by_tables)).into_owned();
     // The terms by central differences of their f64 values.
     for t in 0..expected.len() {

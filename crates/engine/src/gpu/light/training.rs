@@ -9,7 +9,7 @@ use crate::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
 use crate::indirect::INDIRECT_DIRECTIONS;
 use crate::{LightWeights, fibonacci_sphere};
 use relume_scene::light::{EnvOperators, LightTables, sh_eval};
-use relume_scene::{ColumnTurn, IndirectForm, texel_directions};
+use relume_scene::{ColumnShift, IndirectForm, texel_directions};
 
 /// `Environment` of `shaders/shared/environment.wgsl`.
 #[repr(C)]
@@ -56,7 +56,7 @@ impl TrainingLight {
     /// When they do not fit.
     pub fn new(gpu: &Gpu, operators: &EnvOperators) -> Result<Self, DeviceError> {
         let tables = operators.shape();
-        let light = LightBuffers::upload(gpu, &tables, operators.order(), &[[0.0; 3]; 16])?;
+        let light = LightBuffers::upload(gpu, &tables, operators.sh_degree(), &[[0.0; 3]; 16])?;
         let (forward, backward) = (operators.rows(), operators.transposed_rows());
         let (width, height) = operators.size();
         let upward: Vec<f32> = texel_directions(width, height)
@@ -87,7 +87,7 @@ impl TrainingLight {
 
     fn environment(&self, model: &ModelBuffers, turn: f64, weights: &LightWeights) -> EnvironmentUniform {
         let (width, height) = self.size;
-        let (whole, fraction) = ColumnTurn::new(turn, width).columns();
+        let (whole, fraction) = ColumnShift::new(turn, width).columns();
         EnvironmentUniform {
             n_texels: (width * height) as u32,
             first_texel: 3 * model.n_prototypes as u32,

@@ -14,12 +14,12 @@ use crate::gpu::model::LayoutUniform;
 use crate::gpu::probes::buffers::{ProbeBuffers, direction_weight, padded};
 use crate::gpu::scan::Scan;
 use crate::gpu::sort::{Pairs, Sorter};
-use crate::gpu::{Buffer, Gpu, Groups, Pace, Recorder, Submission, shaders, uniform};
+use crate::gpu::{Buffer, Gpu, Groups, InFlightLimit, Recorder, Submission, shaders, uniform};
 use relume_scene::light::sh_eval;
 use relume_scene::sh_count;
 
 /// Most cells along an edge of the grid: a flat Gaussian keeps its first and last cell in a byte each.
-const MOST_SIDE: usize = 256;
+const MAX_GRID_SIDE: usize = 256;
 /// List entries a Gaussian that a direction may have on average before the grid is made coarser. On a software device
 /// 3 entries a Gaussian (100,000 of them) took two thirds of the time of 6 and half of that of 16: sorting entries costs
 /// more than walking the longer lists of larger cells.
@@ -85,7 +85,7 @@ pub(super) type Occluder = [f32; 16];
 pub(super) type Flat = [u32; 12];
 
 /// Measures `directions` (unit) from every Gaussian of the model in `params`, and their coefficients of degree
-/// `order`, at most 6. Waits for the device slice by slice; only how long the lists are is read back.
+/// `sh_degree`, at most 6. Waits for the device slice by slice; only how long the lists are is read back.
 ///
 /// # Errors
 /// [`DeviceError::TooLarge`] with the numbers when transmittances by direction and Gaussian do not fit one binding,
@@ -96,12 +96,12 @@ pub fn measure(
     model: &LayoutUniform,
     settings: ProbeSettings,
     directions: &[[f32; 3]],
-    order: usize,
+    sh_degree: usize,
 ) -> Result<ProbeBuffers, DeviceError> {
     let entries = ENTRIES.max(ENTRIES_A_GAUSSIAN * model.n as usize);
     let side = (model.n as f32).sqrt() as usize;
-    let mut sweeper = Sweeper::new(gpu, model, settings, directions, order)?;
-    sweeper.measure(params, model, side.clamp(1, MOST_SIDE), entries)
+    let mut sweeper = Sweeper::new(gpu, model, settings, directions, sh_degree)?;
+    sweeper.measure(params, model, side.clamp(1, MAX_GRID_SIDE), entries)
 }
 
 /// One measurement and its memory.
@@ -124,7 +124,7 @@ pub(super) struct Sweeper<'g> {
     pub(super) cell_of_instance: Option<Buffer<u32>>,
     pub(super) gaussian_of_instance: Option<Buffer<u32>>,
     pub(super) first_slot: Option<Buffer<u32>>,
-    pub(super) pace: Pace,
+    pub(super) pace: InFlightLimit,
     pub(super) sorter: Sorter,
     pub(super) scan: Scan,
 }
@@ -135,17 +135,17 @@ impl<'g> Sweeper<'g> {
         model: &LayoutUniform,
         settings: ProbeSettings,
         directions: &[[f32; 3]],
-        order: usize,
+        sh_degree: usize,
     ) -> Result<Self, DeviceError> {
-        if order > 6 {
-            return Err(DeviceError::Misuse(format!("probes of order {order}")));
+        if sh_degree > 6 {
+            return Err(DeviceError::Misuse(format!("probes of order {sh_degree}")));
         }
         let (n, n_directions) = (model.n as usize, directions.len());
-        let out = ProbeBuffers::empty(gpu, n, directions, sh_count(order))?;
+        let out = ProbeBuffers::empty(gpu, n, directions, sh_count(sh_degree))?;
         let coordinates = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let frames: Vec<Axes> = directions.iter().chain(&coordinates).map(|d| axes(*d)).collect();
         let mut basis = vec![0.0f32; n_directions * BASIS];
-        basis.chunks_exact_mut(BASIS).zip(directions).for_each(|(y, d)| sh_eval(order, *d, y));
+        basis.chunks_exact_mut(BASIS).zip(directions).for_each(|(y, d)| sh_eval(sh_degree, *d, y));
         let sweep = Sweep {
             n: model.n,
             n_directions: n_directions as u32,
@@ -176,7 +176,7 @@ impl<'g> Sweeper<'g> {
             cell_of_instance: None,
             gaussian_of_instance: None,
             first_slot: None,
-            pace: Pace::default(),
+            pace: InFlightLimit::default(),
             sorter: Sorter::default(),
             scan: Scan::default(),
         })
@@ -249,7 +249,7 @@ impl<'g> Sweeper<'g> {
                 self.flatten(&mut rec);
             }
             let halves = rec.fetch(&self.totals, 0..2 * n_directions);
-            let halves = rec.submit()?.arrive()?.read(&halves)?;
+            let halves = rec.submit()?.wait_for_data()?.read(&halves)?;
             let totals =
                 halves.as_chunks::<2>().0.iter().map(|[lo, hi]| u64::from(*lo) | u64::from(*hi) << 32);
             if totals.clone().all(|t| t <= most as u64) || self.sweep.side == 1 {

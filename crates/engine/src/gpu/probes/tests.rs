@@ -25,17 +25,17 @@ const FLIPPED: f64 = 0.001;
 const FLIPPED_NEEDLES: f64 = 0.005;
 
 /// A model and what the CPU engine needs besides.
-pub(in crate::gpu) struct Scene {
+pub(in crate::gpu) struct ProbeScene {
     pub(in crate::gpu) gaussians: Gaussians,
     pub(in crate::gpu) prototypes: Vec<[f32; 3]>,
     pub(in crate::gpu) options: ShadingOptions,
 }
 
-impl Scene {
-    pub(in crate::gpu) fn random(seed: u64, n: usize, order: usize) -> Self {
+impl ProbeScene {
+    pub(in crate::gpu) fn random(seed: u64, n: usize, sh_degree: usize) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut uniform = move |lo: f32, hi: f32| lo + (hi - lo) * rng.random::<f32>();
-        let mut gaussians = Gaussians::zeroed(n, 4, order, 1);
+        let mut gaussians = Gaussians::zeroed(n, 4, sh_degree, 1);
         for field in Field::ALL {
             let (lo, hi) = match field {
                 Field::LogScale => (-4.0, -1.2),
@@ -77,8 +77,8 @@ impl Scene {
         directions: &[[f32; 3]],
     ) -> ProbeBuffers {
         let params = gpu.upload("params", &planar(&self.gaussians)).unwrap();
-        let order = self.gaussians.visibility_order();
-        measure(gpu, &params, &self.layout(), settings, directions, order).unwrap()
+        let sh_degree = self.gaussians.visibility_degree();
+        measure(gpu, &params, &self.layout(), settings, directions, sh_degree).unwrap()
     }
 }
 
@@ -117,11 +117,11 @@ fn directions() -> Vec<[f32; 3]> {
 }
 
 /// Asserts parity of a scene; returns the share of directions that are blocked to some part, and hits.
-fn assert_parity(gpu: &Gpu, scene: &Scene, settings: ProbeSettings) -> f64 {
+fn assert_parity(gpu: &Gpu, scene: &ProbeScene, settings: ProbeSettings) -> f64 {
     assert_parity_within(gpu, scene, settings, FLIPPED)
 }
 
-fn assert_parity_within(gpu: &Gpu, scene: &Scene, settings: ProbeSettings, flipped: f64) -> f64 {
+fn assert_parity_within(gpu: &Gpu, scene: &ProbeScene, settings: ProbeSettings, flipped: f64) -> f64 {
     let expected = cpu::Probes::measure(&scene.source(), directions(), settings);
     let buffers = scene.on_device(gpu, settings, &directions());
     let got = read(gpu, &buffers);
@@ -152,7 +152,7 @@ fn host_and_shaders_agree_on_the_structs() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn probes_of_a_random_scene_match_the_cpu() {
     let gpu = Gpu::for_tests();
-    let scene = Scene::random(1, 400, 4);
+    let scene = ProbeScene::random(1, 400, 4);
     let blocked = assert_parity(&gpu, &scene, ProbeSettings::default());
     assert!(
         (0.2..0.95).contains(&blocked),
@@ -166,7 +166,7 @@ fn probes_of_a_random_scene_match_the_cpu() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn the_comparison_notices_other_settings_and_another_scene() {
     let gpu = Gpu::for_tests();
-    let scene = Scene::random(1, 400, 2);
+    let scene = ProbeScene::random(1, 400, 2);
     let expected = cpu::Probes::measure(&scene.source(), directions(), ProbeSettings::default());
     let default = ProbeSettings::default();
     for settings in [
@@ -194,19 +194,19 @@ fn the_comparison_notices_other_settings_and_another_scene() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn coefficients_equal_the_projected_transmittances() {
     let gpu = Gpu::for_tests();
-    for (order, n) in [(0, 70), (1, 300), (3, 257), (6, 300)] {
-        let scene = Scene::random(3, n, order);
+    for (sh_degree, n) in [(0, 70), (1, 300), (3, 257), (6, 300)] {
+        let scene = ProbeScene::random(3, n, sh_degree);
         let buffers = scene.on_device(&gpu, ProbeSettings::default(), &directions());
-        let got = gpu.read(&buffers.coefficients, 0..n * sh_count(order)).unwrap();
-        let expected = read(&gpu, &buffers).coefficients(order);
+        let got = gpu.read(&buffers.coefficients, 0..n * sh_count(sh_degree)).unwrap();
+        let expected = read(&gpu, &buffers).coefficients(sh_degree);
         let most = expected.iter().fold(0.0f32, |m, v| m.max(v.abs()));
         let error = largest_difference(&got, &expected);
-        assert!(error < 1e-5 * f64::from(most), "order {order}: {error} of {most}");
+        assert!(error < 1e-5 * f64::from(most), "order {sh_degree}: {error} of {most}");
         // Against what the CPU measures by itself: whole rows differ where a transmittance flipped.
         let cpu = cpu::Probes::measure(&scene.source(), directions(), ProbeSettings::default());
-        let cpu = cpu.coefficients(order);
+        let cpu = cpu.coefficients(sh_degree);
         let far = got.iter().zip(&cpu).filter(|(a, b)| !((*a - *b).abs() <= TOLERANCE * most)).count();
-        assert!(far as f64 <= 5.0 * FLIPPED * got.len() as f64, "order {order}: {far} of {}", got.len());
+        assert!(far as f64 <= 5.0 * FLIPPED * got.len() as f64, "order {sh_degree}: {far} of {}", got.len());
     }
 }
 
@@ -214,7 +214,7 @@ fn coefficients_equal_the_projected_transmittances() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn grid_size_does_not_change_the_measurement() {
     let gpu = Gpu::for_tests();
-    let scene = Scene::random(5, 300, 2);
+    let scene = ProbeScene::random(5, 300, 2);
     let params = gpu.upload("params", &planar(&scene.gaussians)).unwrap();
     let measured = |side: usize, entries: usize| {
         let model = scene.layout();
@@ -237,8 +237,8 @@ fn grid_size_does_not_change_the_measurement() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn probes_work_with_zero_or_one_gaussian_and_no_direction() {
     let gpu = Gpu::for_tests();
-    assert_parity(&gpu, &Scene::random(1, 0, 2), ProbeSettings::default());
-    let one = Scene::random(1, 1, 2);
+    assert_parity(&gpu, &ProbeScene::random(1, 0, 2), ProbeSettings::default());
+    let one = ProbeScene::random(1, 1, 2);
     assert_eq!(assert_parity(&gpu, &one, ProbeSettings::default()), 0.0, "nothing hides itself");
     let buffers = one.on_device(&gpu, ProbeSettings::default(), &[]);
     assert_eq!(gpu.read(&buffers.coefficients, 0..9).unwrap(), [0.0; 9]);
@@ -249,13 +249,13 @@ fn probes_work_with_zero_or_one_gaussian_and_no_direction() {
 fn probes_of_flat_and_degenerate_scenes_match_the_cpu() {
     let gpu = Gpu::for_tests();
     for fixed in [&[2][..], &[0, 1], &[0, 1, 2]] {
-        let scene = Scene::random(11, 300, 2).with(|i, g| {
+        let scene = ProbeScene::random(11, 300, 2).with(|i, g| {
             fixed.iter().for_each(|k| g.row_mut(Field::Mean, i)[*k] = 0.25);
         });
         assert_parity(&gpu, &scene, ProbeSettings::default());
     }
     // Two sheets face to face, hiding each other.
-    let scene = Scene::random(12, 400, 2).with(|i, g| {
+    let scene = ProbeScene::random(12, 400, 2).with(|i, g| {
         g.row_mut(Field::Mean, i)[2] = if i % 2 == 0 { 0.4 } else { -0.4 };
         g.row_mut(Field::LogScale, i).copy_from_slice(&[-1.5, -1.7, -5.0]);
         g.row_mut(Field::Quaternion, i).copy_from_slice(&[1.0, 0.0, 0.0, 0.0]);
@@ -267,7 +267,7 @@ fn probes_of_flat_and_degenerate_scenes_match_the_cpu() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn distant_gaussian_does_not_change_results_or_grid_bounds() {
     let gpu = Gpu::for_tests();
-    let scene = Scene::random(1, 400, 2).with(|i, g| {
+    let scene = ProbeScene::random(1, 400, 2).with(|i, g| {
         if i == 100 {
             g.row_mut(Field::Mean, i).copy_from_slice(&[3e4, -1e4, 2e4]);
         }
@@ -292,7 +292,7 @@ fn probes_of_elongated_and_flat_gaussians_match_the_cpu() {
         ([-1.5, -1.5, -30.0], true),
         ([-1.0, -8.0, -8.0], true),
     ] {
-        let scene = Scene::random(21, 300, 2).with(|i, g| {
+        let scene = ProbeScene::random(21, 300, 2).with(|i, g| {
             g.row_mut(Field::LogScale, i).copy_from_slice(&scales);
             if aligned {
                 g.row_mut(Field::Quaternion, i).copy_from_slice(&[1.0, 0.0, 0.0, 0.0]);
@@ -306,9 +306,9 @@ fn probes_of_elongated_and_flat_gaussians_match_the_cpu() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn transparent_distant_and_nan_gaussians_do_not_occlude() {
     let gpu = Gpu::for_tests();
-    let transparent = Scene::random(31, 300, 2).with(|i, g| g.row_mut(Field::OpacityLogit, i)[0] = -6.0);
+    let transparent = ProbeScene::random(31, 300, 2).with(|i, g| g.row_mut(Field::OpacityLogit, i)[0] = -6.0);
     assert_eq!(assert_parity(&gpu, &transparent, ProbeSettings::default()), 0.0);
-    let half = Scene::random(32, 300, 2).with(|i, g| {
+    let half = ProbeScene::random(32, 300, 2).with(|i, g| {
         if i % 2 == 0 {
             g.row_mut(Field::OpacityLogit, i)[0] = -6.0;
         }
@@ -316,7 +316,7 @@ fn transparent_distant_and_nan_gaussians_do_not_occlude() {
     let all = assert_parity(&gpu, &half, ProbeSettings::default());
     let near = assert_parity(&gpu, &half, ProbeSettings { reach: 0.3, ..ProbeSettings::default() });
     assert!(0.0 < near && near < all, "{near} {all}");
-    let broken = Scene::random(33, 300, 2).with(|i, g| match i % 12 {
+    let broken = ProbeScene::random(33, 300, 2).with(|i, g| match i % 12 {
         0 => g.row_mut(Field::Mean, i)[1] = f32::NAN,
         1 => g.row_mut(Field::LogScale, i)[0] = f32::NAN,
         3 => g.row_mut(Field::OpacityLogit, i)[0] = f32::NAN,
@@ -330,7 +330,7 @@ fn transparent_distant_and_nan_gaussians_do_not_occlude() {
     });
     assert!(assert_parity(&gpu, &broken, ProbeSettings::default()) > 0.1);
     // A rotation that is none: the CPU takes the identity, the device leaves the Gaussian out, as it does in images.
-    let turned = Scene::random(34, 300, 2).with(|i, g| {
+    let turned = ProbeScene::random(34, 300, 2).with(|i, g| {
         if i % 2 == 0 {
             g.row_mut(Field::Quaternion, i)[2] = f32::NAN;
         }
@@ -344,7 +344,7 @@ fn transparent_distant_and_nan_gaussians_do_not_occlude() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn storing_probes_changes_only_the_visibility_field() {
     let gpu = Gpu::for_tests();
-    let scene = Scene::random(41, 100, 3);
+    let scene = ProbeScene::random(41, 100, 3);
     let params = gpu.upload("params", &planar(&scene.gaussians)).unwrap();
     let buffers = scene.on_device(&gpu, ProbeSettings::default(), &directions());
     let mut rec = gpu.record();
@@ -356,7 +356,7 @@ fn storing_probes_changes_only_the_visibility_field() {
     assert_ne!(expected[first..first + 1600], coefficients);
     expected[first..first + 1600].copy_from_slice(&coefficients);
     assert_eq!(gpu.read(&params, 0..expected.len()).unwrap(), expected);
-    let other = Scene::random(41, 100, 2).layout();
+    let other = ProbeScene::random(41, 100, 2).layout();
     assert!(buffers.store(&mut gpu.record(), &params, &other).is_err());
 }
 
@@ -365,7 +365,7 @@ fn storing_probes_changes_only_the_visibility_field() {
 fn too_large_measurement_is_refused_with_its_size() {
     let gpu = Gpu::for_tests();
     let params: Buffer<f32> = gpu.buffer("params", 4).unwrap();
-    let model = LayoutUniform { n: 1 << 30, ..Scene::random(1, 1, 0).layout() };
+    let model = LayoutUniform { n: 1 << 30, ..ProbeScene::random(1, 1, 0).layout() };
     let up = [[0.0, 0.0, 1.0]; 2];
     let Err(DeviceError::TooLarge { needs, what, .. }) =
         measure(&gpu, &params, &model, ProbeSettings::default(), &up, 0)
@@ -373,6 +373,6 @@ fn too_large_measurement_is_refused_with_its_size() {
         panic!("was not refused")
     };
     assert!(needs == 8 << 30 && what.contains("2 directions"), "{needs} {what}");
-    let model = Scene::random(1, 1, 0).layout();
+    let model = ProbeScene::random(1, 1, 0).layout();
     assert!(measure(&gpu, &params, &model, ProbeSettings::default(), &up, 7).is_err());
 }

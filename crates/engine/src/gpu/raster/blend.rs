@@ -5,7 +5,7 @@ use crate::gpu::grow::grow;
 use crate::gpu::permutations::{by_groups, groups};
 use crate::gpu::raster::attributes::Attributed;
 use crate::gpu::raster::project::Projected;
-use crate::gpu::raster::records::{BlendEnd, Words};
+use crate::gpu::raster::records::{BlendEnd, DispatchParams};
 use crate::gpu::shaders::Kernel;
 use crate::gpu::{Buffer, CameraUniform, Recorder, shaders, uniform};
 use relume_layout::constants::{EarlyStop, TRANSMITTANCE_STOP};
@@ -87,7 +87,7 @@ impl Projected<'_> {
     ) {
         let bindings = [
             uniform(&self.camera),
-            uniform(&Words([least_transmittance.to_bits(), 0, 0, 0])),
+            uniform(&DispatchParams([least_transmittance.to_bits(), 0, 0, 0])),
             (&self.splats).into(),
             rows.into(),
             (&self.tiles.gaussian_of_slot).into(),

@@ -5,7 +5,7 @@ use crate::gpu::grow::grow;
 use crate::gpu::permutations::{by_groups, groups};
 use crate::gpu::raster::blend::Blended;
 use crate::gpu::raster::project::Projected;
-use crate::gpu::raster::records::Words;
+use crate::gpu::raster::records::DispatchParams;
 use crate::gpu::{Buffer, Recorder, shaders, uniform};
 
 pub use relume_layout::kernel_constants::GRADIENT_HEADER;
@@ -71,7 +71,7 @@ impl<'r> Blended<'r> {
         let p = &self.attributed.projected;
         let bindings = [
             uniform(&p.camera),
-            uniform(&Words([blended as u32, 0, 0, 0])),
+            uniform(&DispatchParams([blended as u32, 0, 0, 0])),
             (&p.splats).into(),
             (&self.attributed.rows).into(),
             (&p.tiles.gaussian_of_slot).into(),

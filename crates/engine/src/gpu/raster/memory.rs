@@ -1,7 +1,7 @@
 //! Memory of the rasteriser.
 
 use crate::DeviceError;
-use crate::gpu::raster::records::{BlendEnd, LISTED_WORDS, RasterCounts, RoomyViews, SplatRecord};
+use crate::gpu::raster::records::{BlendEnd, LIST_STATUS_WORDS, OversizedViews, RasterCounts, SplatRecord};
 use crate::gpu::scan::Scan;
 use crate::gpu::sort::Sorter;
 use crate::gpu::{Buffer, Gpu};
@@ -14,11 +14,11 @@ pub struct Raster {
     pub(super) nothing: Buffer<f32>,
     /// Visible Gaussians, then the low and the high half of the number of (splat, tile) pairs.
     pub(super) counts: Buffer<u32>,
-    /// What the lists of the last view hold, see `shaders/tile_room.wgsl`.
-    pub(super) listed: Buffer<u32>,
+    /// What the lists of the last view hold, see `shaders/tile_capacity.wgsl`.
+    pub(super) list_status: Buffer<u32>,
     /// Pairs that a view's lists hold.
-    pub(super) room: usize,
-    pub(super) roomy: RoomyViews,
+    pub(super) capacity: usize,
+    pub(super) oversized: OversizedViews,
     /// What the last view showed that is known.
     pub(super) last: RasterCounts,
     pub(super) splats: Option<Buffer<SplatRecord>>,
@@ -51,9 +51,9 @@ impl Raster {
             gpu: gpu.clone(),
             nothing: gpu.buffer("nothing", 4)?,
             counts: gpu.buffer("raster counts", 4)?,
-            listed: gpu.upload("what is listed", &[0; LISTED_WORDS])?,
-            room: 0,
-            roomy: RoomyViews::default(),
+            list_status: gpu.upload("what is listed", &[0; LIST_STATUS_WORDS])?,
+            capacity: 0,
+            oversized: OversizedViews::default(),
             last: RasterCounts::default(),
             splats: None,
             depth_keys: None,

@@ -7,13 +7,13 @@
 mod attributes;
 mod blend;
 mod blend_backward;
-mod listed;
 mod memory;
 mod project;
 mod records;
 mod shaded;
 #[cfg(test)]
 mod tests;
+mod tile_list_capacity;
 mod tiles;
 
 pub use attributes::Attributed;

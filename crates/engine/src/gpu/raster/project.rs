@@ -3,7 +3,7 @@
 use crate::DeviceError;
 use crate::gpu::grow::grow;
 use crate::gpu::raster::memory::Raster;
-use crate::gpu::raster::records::{LISTED_WORDS, RasterCounts, SplatRecord, Words};
+use crate::gpu::raster::records::{DispatchParams, LIST_STATUS_WORDS, RasterCounts, SplatRecord};
 use crate::gpu::raster::tiles::TileLists;
 use crate::gpu::{AttributeSource, Buffer, CameraUniform, Groups, Recorder, TILE, shaders, uniform};
 
@@ -25,9 +25,9 @@ impl Projected<'_> {
         self.counts
     }
 
-    /// What [`Raster::settle`] asks for.
-    pub fn listed(&self) -> &Buffer<u32> {
-        &self.raster.listed
+    /// What [`Raster::apply_list_status`] asks for.
+    pub fn list_status(&self) -> &Buffer<u32> {
+        &self.raster.list_status
     }
 
     /// Gaussians of the model.
@@ -43,7 +43,7 @@ impl Projected<'_> {
 
 impl Raster {
     /// Records projection and tile lists of a view of `source`. Nobody waits for the device: whether the lists are whole is
-    /// known later ([`Self::settle`]), and until then the counts are those of an earlier view.
+    /// known later ([`Self::apply_list_status`]), and until then the counts are those of an earlier view.
     ///
     /// # Errors
     /// As [`Gpu::buffer`](crate::gpu::Gpu::buffer).
@@ -55,13 +55,13 @@ impl Raster {
     ) -> Result<Projected<'_>, DeviceError> {
         let (splats, gaussian_of_rank) = self.project(rec, camera, source)?;
         let n = source.layout.n as usize;
-        let room = self.room_for(n);
-        let tiles = match self.list(rec, camera, &splats, &gaussian_of_rank, (n, room)) {
+        let capacity = self.capacity_for(n);
+        let tiles = match self.list(rec, camera, &splats, &gaussian_of_rank, (n, capacity)) {
             // There may be memory for the last view's lists where there is none for more.
-            Err(DeviceError::TooLarge { .. } | DeviceError::OutOfMemory { .. }) if self.spare_nothing() => {
-                self.list(rec, camera, &splats, &gaussian_of_rank, (n, self.room))?
+            Err(DeviceError::TooLarge { .. } | DeviceError::OutOfMemory { .. }) if self.shrink_to_fit() => {
+                self.list(rec, camera, &splats, &gaussian_of_rank, (n, self.capacity))?
             }
-            listed => listed?,
+            list_status => list_status?,
         };
         let (camera, source, counts) = (*camera, source.clone(), self.last);
         Ok(Projected { raster: self, camera, source, splats, tiles, counts })
@@ -70,7 +70,7 @@ impl Raster {
     /// Projects and lists on the spot, with lists that are whole and counts that are this view's. Waits for the device.
     ///
     /// # Errors
-    /// As [`Self::record`] and [`Self::settle`].
+    /// As [`Self::record`] and [`Self::apply_list_status`].
     pub fn prepare(
         &mut self,
         camera: &CameraUniform,
@@ -80,9 +80,9 @@ impl Raster {
         loop {
             let mut rec = gpu.record();
             let Projected { splats, tiles, .. } = self.record(&mut rec, camera, source)?;
-            let listed = rec.fetch(&self.listed, 0..LISTED_WORDS);
-            let listed = rec.submit()?.arrive()?.read(&listed)?;
-            if self.settle(&listed)? {
+            let list_status = rec.fetch(&self.list_status, 0..LIST_STATUS_WORDS);
+            let list_status = rec.submit()?.wait_for_data()?.read(&list_status)?;
+            if self.apply_list_status(&list_status)? {
                 let (camera, source, counts) = (*camera, source.clone(), self.last);
                 return Ok(Projected { raster: self, camera, source, splats, tiles, counts });
             }
@@ -117,7 +117,7 @@ impl Raster {
         rec.dispatch(&shaders::PROJECT, Groups::Linear(n), &bindings);
         rec.stage("sort");
         let sorted = self.depth_sorter.sort(rec, &keys, &gaussians, n, u32::BITS)?.values;
-        let size = Words([n as u32, 0, 0, 0]);
+        let size = DispatchParams([n as u32, 0, 0, 0]);
         let bindings = [uniform(&size), (&splats).into(), (&sorted).into(), (&n_tiles).into()];
         rec.dispatch(&shaders::TILE_COUNT, Groups::Linear(n), &bindings);
         self.scan.exclusive(rec, &n_tiles, &first, n)?;

@@ -5,10 +5,10 @@ use bytemuck::{Pod, Zeroable};
 /// Four numbers of a dispatch: counts, flags or bits of floats, as each shader names them.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
-pub(super) struct Words(pub(super) [u32; 4]);
+pub(super) struct DispatchParams(pub(super) [u32; 4]);
 
-/// Elements of the buffer that says what the tile lists of a view hold (`shaders/tile_room.wgsl`).
-pub(super) const LISTED_WORDS: usize = 5;
+/// Elements of the buffer that says what the tile lists of a view hold (`shaders/tile_capacity.wgsl`).
+pub(super) const LIST_STATUS_WORDS: usize = 5;
 
 /// What a view shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -21,7 +21,7 @@ pub struct RasterCounts {
 
 /// Views in a row that had far more memory than they needed.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct RoomyViews {
+pub(super) struct OversizedViews {
     pub(super) count: u32,
     /// Pairs of the largest.
     pub(super) most: usize,

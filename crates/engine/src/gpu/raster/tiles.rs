@@ -3,7 +3,7 @@
 use crate::DeviceError;
 use crate::gpu::grow::grow;
 use crate::gpu::raster::memory::Raster;
-use crate::gpu::raster::records::{SplatRecord, Words};
+use crate::gpu::raster::records::{DispatchParams, SplatRecord};
 use crate::gpu::sort::PairCount;
 use crate::gpu::{Buffer, CameraUniform, Groups, Recorder, shaders, uniform};
 
@@ -16,7 +16,7 @@ pub(in crate::gpu) struct TileLists {
 
 impl Raster {
     /// Records the lists of a view of `n` Gaussians, for at most `n_instances` (splat, tile) pairs: behind them, what the lists
-    /// hold is written down ([`Raster::settle`]).
+    /// hold is written down ([`Raster::apply_list_status`]).
     pub(super) fn list(
         &mut self,
         rec: &mut Recorder<'_>,
@@ -31,12 +31,12 @@ impl Raster {
         let first_slot = grow(&self.gpu, "first slots", &mut self.first_slot, n_tiles + 1)?;
         let first_instance = grow(&self.gpu, "first instances", &mut self.first_instance, n + 1)?;
         rec.stage("sort");
-        let room = Words([n_instances as u32, 0, 0, 0]);
-        let bindings = [uniform(&room), (&self.counts).into(), (&self.listed).into()];
-        rec.dispatch(&shaders::TILE_ROOM, Groups::Workgroups(1), &bindings);
+        let capacity = DispatchParams([n_instances as u32, 0, 0, 0]);
+        let bindings = [uniform(&capacity), (&self.counts).into(), (&self.list_status).into()];
+        rec.dispatch(&shaders::TILE_CAPACITY, Groups::Workgroups(1), &bindings);
         let bindings = [
             uniform(camera),
-            uniform(&Words([n as u32, n_instances as u32, 0, 0])),
+            uniform(&DispatchParams([n as u32, n_instances as u32, 0, 0])),
             splats.into(),
             gaussian_of_rank.into(),
             (&first_instance).into(),
@@ -46,10 +46,11 @@ impl Raster {
         rec.dispatch(&shaders::TILE_EMIT, Groups::Linear(n), &bindings);
         // Keys go from 0 to n_tiles: the latter marks instances that were counted and not found.
         let bits = (usize::BITS - n_tiles.leading_zeros()).max(1);
-        let listed = PairCount { most: n_instances, counted: Some(&self.listed) };
-        let sorted = self.tile_sorter.sort(rec, &tiles, &gaussians, listed, bits)?;
-        let size = Words([n_tiles as u32, n_instances as u32, 0, 0]);
-        let bindings = [uniform(&size), (&sorted.keys).into(), (&self.listed).into(), (&first_slot).into()];
+        let list_status = PairCount { most: n_instances, counted: Some(&self.list_status) };
+        let sorted = self.tile_sorter.sort(rec, &tiles, &gaussians, list_status, bits)?;
+        let size = DispatchParams([n_tiles as u32, n_instances as u32, 0, 0]);
+        let bindings =
+            [uniform(&size), (&sorted.keys).into(), (&self.list_status).into(), (&first_slot).into()];
         rec.dispatch(&shaders::TILE_OFFSETS, Groups::Linear(n_tiles + 1), &bindings);
         Ok(TileLists { gaussian_of_slot: sorted.values, first_slot })
     }

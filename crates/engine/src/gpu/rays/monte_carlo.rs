@@ -7,11 +7,11 @@ use crate::gpu::grow::grow;
 use crate::gpu::raster::Blended;
 use crate::gpu::rays::{RayMemory, TreeBuffers};
 use crate::gpu::{Buffer, Gpu, Recorder, shaders, uniform};
-use relume_scene::light::{EnvSampler, Shares};
+use relume_scene::light::{EnvSampler, SampleCounts};
 
 /// Most samples of a dispatch: a device that is shared with a display must not be kept for long, and Mesa's software drivers end a
 /// thread's loops after 65,535 rounds, which are boxes here.
-const MOST_SAMPLES: u32 = 8;
+const MAX_SAMPLES_PER_DISPATCH: u32 = 8;
 
 /// `MonteCarlo` of `shaders/monte_carlo.wgsl`.
 #[repr(C)]
@@ -59,7 +59,7 @@ impl EnvironmentBuffers {
 #[derive(Debug, Clone, Copy)]
 pub struct Samples {
     /// How many, each way.
-    pub shares: Shares,
+    pub shares: SampleCounts,
     /// Of all of them.
     pub seed: u64,
     /// Pixels of the frame before the first one of the view.
@@ -85,12 +85,12 @@ impl RayMemory {
         let sent = grow(recorder.gpu(), "light sent", &mut self.sent, 2 * camera.pixels())?;
         let Samples { shares, seed, pixels_before } = *samples;
         let all = shares.light + shares.cosine + shares.lobe;
-        for first in (0..all).step_by(MOST_SAMPLES as usize) {
+        for first in (0..all).step_by(MAX_SAMPLES_PER_DISPATCH as usize) {
             let sampling = MonteCarloUniform {
                 seed: [seed as u32, (seed >> 32) as u32],
                 pixels_before: pixels_before as u32,
                 first_sample: first,
-                end_sample: all.min(first + MOST_SAMPLES),
+                end_sample: all.min(first + MAX_SAMPLES_PER_DISPATCH),
                 n_light: shares.light,
                 n_cosine: shares.cosine,
                 n_lobe: shares.lobe,

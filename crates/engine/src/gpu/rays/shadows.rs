@@ -8,12 +8,12 @@ use crate::gpu::raster::Blended;
 use crate::gpu::rays::{RayMemory, TreeBuffers};
 use crate::gpu::{Buffer, Groups, Recorder, shaders, uniform};
 use crate::{DeviceError, towards_light};
-use relume_layout::constants::SHADOW_PLACES;
+use relume_layout::constants::SHADOW_SAMPLE_OFFSETS;
 use relume_scene::light::{DominantLight, TableLight};
 use relume_scene::{ShadeAt, ShadingOptions, SplitLight, VisibilityForm};
 
 /// Most places of a light that rays go to.
-const MOST_DIRECTIONS: usize = 7;
+const MAX_DIRECTIONS: usize = 7;
 
 /// `SharpLight` of `shaders/shared/sharp_light.wgsl`.
 #[repr(C)]
@@ -25,7 +25,7 @@ struct SharpLightUniform {
     n_rays: u32,
     n_directions: u32,
     pad: u32,
-    directions: [[f32; 4]; MOST_DIRECTIONS],
+    directions: [[f32; 4]; MAX_DIRECTIONS],
 }
 
 impl SharpLightUniform {
@@ -34,17 +34,17 @@ impl SharpLightUniform {
         let [x, y, z] = light.direction.to_array().map(|v| v as f32);
         let [r, g, b] = light.irradiance.map(|v| v as f32);
         let towards = towards_light(&SplitLight::from(&TableLight::from(light)));
-        let mut directions = [[0.0; 4]; MOST_DIRECTIONS];
+        let mut directions = [[0.0; 4]; MAX_DIRECTIONS];
         for (out, [x, y, z]) in directions.iter_mut().zip(&towards) {
             *out = [*x, *y, *z, 0.0];
         }
-        let n_rays = if is_occluded { towards.len().max(SHADOW_PLACES.len()) } else { 0 };
+        let n_rays = if is_occluded { towards.len().max(SHADOW_SAMPLE_OFFSETS.len()) } else { 0 };
         Self {
             direction: [x, y, z, light.radius as f32],
             irradiance: [r, g, b, 0.0],
             row_groups: row_groups as u32,
             n_rays: n_rays as u32,
-            n_directions: towards.len().min(MOST_DIRECTIONS) as u32,
+            n_directions: towards.len().min(MAX_DIRECTIONS) as u32,
             pad: 0,
             directions,
         }
@@ -144,7 +144,11 @@ mod tests {
         let towards = towards_light(&SplitLight::from(&TableLight::from(&wide)));
         assert_eq!((uniform.n_directions as usize, uniform.n_rays as usize), (towards.len(), towards.len()));
         let point = SharpLightUniform::new(&DominantLight { radius: 0.0, ..wide }, 5, true);
-        assert_eq!((point.n_directions, point.n_rays), (1, SHADOW_PLACES.len() as u32), "the control");
+        assert_eq!(
+            (point.n_directions, point.n_rays),
+            (1, SHADOW_SAMPLE_OFFSETS.len() as u32),
+            "the control"
+        );
         assert_eq!(SharpLightUniform::new(&wide, 5, false).n_rays, 0);
     }
 }

@@ -5,7 +5,7 @@ use bytemuck::{Pod, Zeroable};
 use crate::DeviceError;
 use crate::gpu::permutations::by_coefficients;
 use crate::gpu::shading::Shading;
-use crate::gpu::{Buffer, CameraUniform, Gpu, Recorder, Ticket, shaders, uniform};
+use crate::gpu::{Buffer, CameraUniform, Gpu, ReadbackTicket, Recorder, shaders, uniform};
 use relume_scene::Output;
 
 #[cfg(test)]
@@ -26,7 +26,7 @@ struct ResolveUniform {
 
 /// Where the light of a frame comes from.
 #[derive(Debug, Clone, Copy)]
-pub enum LightFrom<'a> {
+pub enum PixelLight<'a> {
     /// Tables.
     Tables,
     /// Tables, and what each pixel sends besides: diffuse and specular part, planar, times coverage.
@@ -78,16 +78,16 @@ impl Planes {
         camera: &CameraUniform,
         shading: &Shading,
         gbuffer: &Buffer<[f32; 4]>,
-        light: LightFrom<'_>,
+        light: PixelLight<'_>,
         depth_scale: f32,
     ) -> Result<(), DeviceError> {
         use shaders::*;
         let all = [&RESOLVE_1, &RESOLVE_4, &RESOLVE_9, &RESOLVE_16, &RESOLVE_25, &RESOLVE_36, &RESOLVE_49];
         let kernel = by_coefficients(shading.coefficients(), all)?;
         let (light, sent) = match light {
-            LightFrom::Tables => (1, &self.nothing),
-            LightFrom::TablesAnd(sent) => (3, sent),
-            LightFrom::Alone(sent) => (2, sent),
+            PixelLight::Tables => (1, &self.nothing),
+            PixelLight::TablesAnd(sent) => (3, sent),
+            PixelLight::Alone(sent) => (2, sent),
         };
         let mut wanted = ResolveUniform { first: [u32::MAX; 12], depth_scale, light, pad_a: 0, pad_b: 0 };
         for (output, first) in self.wanted.iter().zip(&self.first) {
@@ -99,7 +99,7 @@ impl Planes {
     }
 
     /// Brings the outputs to the host, in the order they were asked for.
-    pub fn fetch(&self, recorder: &mut Recorder<'_>) -> Vec<(Output, Ticket<f32>)> {
+    pub fn fetch(&self, recorder: &mut Recorder<'_>) -> Vec<(Output, ReadbackTicket<f32>)> {
         let ranges = self.first.windows(2).map(|w| w[0]..w[1]);
         self.wanted.iter().zip(ranges).map(|(p, range)| (*p, recorder.fetch(&self.values, range))).collect()
     }

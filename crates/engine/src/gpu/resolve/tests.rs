@@ -7,7 +7,7 @@ use crate::gpu::shaders::assert_layout;
 use crate::gpu::shading::tests::{Noise, planar_gbuffer, random_pass, random_tables};
 use relume_compare::relative_error;
 use relume_layout::channel::{self, OutgoingRadiance};
-use relume_layout::constants::LEAST_COVERAGE;
+use relume_layout::constants::MIN_COVERAGE;
 use relume_scene::{DiffuseForm, ShadeAt, ShadingOptions, VisibilityForm};
 
 const ALL: [Output; 11] = [
@@ -55,7 +55,7 @@ fn expected(pass: &Pass, shader: &SurfaceShader<'_>, plane: Output, x: usize, y:
         Output::Diffuse => premultiplied(diffuse),
         Output::Specular => premultiplied(specular),
         Output::Albedo => s.albedo.to_vec(),
-        Output::Normal if length > LEAST_COVERAGE => normal.to_vec(),
+        Output::Normal if length > MIN_COVERAGE => normal.to_vec(),
         Output::Normal => vec![0.0; 3],
         Output::Metallic => vec![s.metal],
         Output::Roughness => vec![s.rough],
@@ -74,27 +74,27 @@ fn resolved(
     options: &ShadingOptions,
     wanted: &[Output],
 ) -> (Vec<Vec<f32>>, Vec<Vec<f32>>) {
-    let order = 3;
+    let sh_degree = 3;
     let mut noise = Noise::new(seed);
-    let pass = random_pass(&mut noise, (37, 21), order, options);
-    let tables = random_tables(&mut noise, order);
-    let shader = SurfaceShader { tables: &tables, options, order };
+    let pass = random_pass(&mut noise, (37, 21), sh_degree, options);
+    let tables = random_tables(&mut noise, sh_degree);
+    let shader = SurfaceShader { tables: &tables, options, sh_degree };
     let view = CameraUniform::new(&pass.view);
     let gbuffer = gpu.upload("gbuffer", &planar_gbuffer(&pass, &pass.gbuffer, pass.channels)).unwrap();
     let shading = Shading {
         options: *options,
         background: [0.0; 3],
-        light: LightBuffers::upload(gpu, &tables, order, &[[0.0; 3]; 16]).unwrap(),
+        light: LightBuffers::upload(gpu, &tables, sh_degree, &[[0.0; 3]; 16]).unwrap(),
         constants: Constants::upload(gpu).unwrap(),
     };
     let planes = Planes::new(gpu, view.pixels(), wanted).unwrap();
     let mut recorder = gpu.record();
-    planes.resolve(&mut recorder, &view, &shading, &gbuffer, LightFrom::Tables, DEPTH_SCALE).unwrap();
+    planes.resolve(&mut recorder, &view, &shading, &gbuffer, PixelLight::Tables, DEPTH_SCALE).unwrap();
     recorder.submit().unwrap();
     let mut recorder = gpu.record();
     let tickets = planes.fetch(&mut recorder);
-    let arrival = recorder.submit().unwrap().arrive().unwrap();
-    let read = |(output, ticket): &(Output, Ticket<f32>)| (*output, arrival.read(ticket).unwrap());
+    let arrival = recorder.submit().unwrap().wait_for_data().unwrap();
+    let read = |(output, ticket): &(Output, ReadbackTicket<f32>)| (*output, arrival.read(ticket).unwrap());
     let found: Vec<_> = tickets.iter().map(read).collect();
     assert!(found.iter().map(|p| p.0).eq(wanted.iter().copied()));
     let host = wanted.iter().map(|plane| {

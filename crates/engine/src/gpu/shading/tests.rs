@@ -70,11 +70,11 @@ pub(in crate::gpu) fn planar_gbuffer(pass: &Pass, values: &[f32], channels: Chan
 pub(in crate::gpu) fn random_pass(
     noise: &mut Noise,
     size: (u32, u32),
-    order: usize,
+    sh_degree: usize,
     options: &ShadingOptions,
 ) -> Pass {
     let view = camera_view(size, options);
-    let mut pass = empty_pass(view, options, Channels::Full(sh_count(order)));
+    let mut pass = empty_pass(view, options, Channels::Full(sh_count(sh_degree)));
     for i in 0..view.width * view.height {
         let (x, y) = (i % view.width, i / view.width);
         let coverage = match i % 7 {
@@ -99,10 +99,10 @@ pub(in crate::gpu) fn random_pass(
     pass
 }
 
-pub(in crate::gpu) fn random_tables(noise: &mut Noise, order: usize) -> LightTables {
+pub(in crate::gpu) fn random_tables(noise: &mut Noise, sh_degree: usize) -> LightTables {
     let diffuse_grid = CubeGrid::new(5);
     let specular_grids = [9, 7, 5, 5, 4, 3].map(CubeGrid::new);
-    let (n, used) = (relume_scene::light::padded(sh_count(order)), sh_count(order));
+    let (n, used) = (relume_scene::light::padded(sh_count(sh_degree)), sh_count(sh_degree));
     LightTables {
         diffuse_grid,
         coefficients: n,
@@ -127,12 +127,12 @@ fn rgb_error(got: &[[f32; 4]], expected: &[[f32; 3]]) -> f64 {
     error_of_entries(&got, expected.as_flattened())
 }
 
-struct Case {
+struct ShadingCase {
     gpu: Gpu,
     pass: Pass,
     tables: LightTables,
     options: ShadingOptions,
-    order: usize,
+    sh_degree: usize,
     background: [f32; 3],
 }
 
@@ -142,16 +142,16 @@ struct Results {
     by_tables: Vec<f32>,
 }
 
-impl Case {
-    fn new(gpu: &Gpu, seed: u64, size: (u32, u32), order: usize, options: ShadingOptions) -> Self {
+impl ShadingCase {
+    fn new(gpu: &Gpu, seed: u64, size: (u32, u32), sh_degree: usize, options: ShadingOptions) -> Self {
         let mut noise = Noise::new(seed);
-        let pass = random_pass(&mut noise, size, order, &options);
-        let tables = random_tables(&mut noise, order);
-        Self { gpu: gpu.clone(), pass, tables, options, order, background: [0.2, 0.5, 0.9] }
+        let pass = random_pass(&mut noise, size, sh_degree, &options);
+        let tables = random_tables(&mut noise, sh_degree);
+        Self { gpu: gpu.clone(), pass, tables, options, sh_degree, background: [0.2, 0.5, 0.9] }
     }
 
     fn cpu(&self) -> SurfaceShader<'_> {
-        SurfaceShader { tables: &self.tables, options: &self.options, order: self.order }
+        SurfaceShader { tables: &self.tables, options: &self.options, sh_degree: self.sh_degree }
     }
 
     fn differentiated(&self, all: bool) -> Channels {
@@ -166,7 +166,7 @@ impl Case {
         let padded = |p: &Vec<[f32; 3]>| p.iter().map(|v| [v[0], v[1], v[2], f32::NAN]).collect::<Vec<_>>();
         let gbuffer = planar_gbuffer(&self.pass, &self.pass.gbuffer, self.pass.channels);
         let gbuffer = gpu.upload("gbuffer", &gbuffer).unwrap();
-        let light = LightBuffers::upload(gpu, &self.tables, self.order, &[[0.0; 3]; 16]).unwrap();
+        let light = LightBuffers::upload(gpu, &self.tables, self.sh_degree, &[[0.0; 3]; 16]).unwrap();
         let constants = Constants::upload(gpu).unwrap();
         let images = Images::new(gpu, n).unwrap();
         let by_images = Images {
@@ -250,7 +250,7 @@ fn deferred() -> ShadingOptions {
 }
 
 /// Errors of images, G-buffer gradient and table gradient of one case.
-fn errors(case: &Case, all: bool) -> [f64; 4] {
+fn errors(case: &ShadingCase, all: bool) -> [f64; 4] {
     let (by, by_buffers) = case.gradients(99);
     let results = case.run(&by, &by_buffers, all);
     let images = case.cpu().images(&case.pass, case.background);
@@ -272,7 +272,7 @@ fn errors(case: &Case, all: bool) -> [f64; 4] {
 fn shading_matches_the_cpu_engine_for_every_form() {
     let gpu = Gpu::for_tests();
     for (seed, options) in forms().into_iter().enumerate() {
-        let case = Case::new(&gpu, seed as u64, (37, 21), 4, options);
+        let case = ShadingCase::new(&gpu, seed as u64, (37, 21), 4, options);
         for all in [false, true] {
             let [physical, radiance, by_gbuffer, by_tables] = errors(&case, all);
             assert!(physical < 2e-5 && radiance < 1e-6, "{options:?}: {physical} {radiance}");
@@ -285,15 +285,15 @@ fn shading_matches_the_cpu_engine_for_every_form() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn shading_matches_the_cpu_for_sh_degrees_and_image_sizes() {
     let gpu = Gpu::for_tests();
-    for (order, size) in
+    for (sh_degree, size) in
         [(0, (1, 1)), (1, (16, 16)), (2, (17, 3)), (3, (33, 16)), (5, (9, 31)), (6, (20, 20))]
     {
-        let case = Case::new(&gpu, 40 + order as u64, size, order, deferred());
+        let case = ShadingCase::new(&gpu, 40 + sh_degree as u64, size, sh_degree, deferred());
         // The largest kernels take a software device seconds to compile: one of the two directions each.
-        for all in [false, true].into_iter().filter(|all| order < 5 || *all == (order == 6)) {
+        for all in [false, true].into_iter().filter(|all| sh_degree < 5 || *all == (sh_degree == 6)) {
             let errors = errors(&case, all);
-            assert!(errors[0] < 2e-5 && errors[1] < 1e-6, "{order} {size:?}: {errors:?}");
-            assert!(errors[2] < 1e-4 && errors[3] < 1e-4, "{order} {size:?} {all}: {errors:?}");
+            assert!(errors[0] < 2e-5 && errors[1] < 1e-6, "{sh_degree} {size:?}: {errors:?}");
+            assert!(errors[2] < 1e-4 && errors[3] < 1e-4, "{sh_degree} {size:?} {all}: {errors:?}");
         }
     }
 }
@@ -304,7 +304,7 @@ fn table_gradients_without_float_atomics_match_the_cpu() {
     let options =
         crate::gpu::GpuOptions { compare_exchange: true, garbage: true, checks: true, ..Default::default() };
     let gpu = Gpu::with_options(options);
-    let case = Case::new(&gpu, 21, (20, 18), 1, deferred());
+    let case = ShadingCase::new(&gpu, 21, (20, 18), 1, deferred());
     let errors = errors(&case, false);
     assert!(errors[2] < 1e-4 && errors[3] < 1e-4, "{errors:?}");
 }
@@ -313,7 +313,7 @@ fn table_gradients_without_float_atomics_match_the_cpu() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn comparison_detects_a_small_change_of_any_input() {
     let gpu = Gpu::for_tests();
-    let case = Case::new(&gpu, 7, (12, 9), 2, deferred());
+    let case = ShadingCase::new(&gpu, 7, (12, 9), 2, deferred());
     let (by, by_buffers) = case.gradients(5);
     let images = case.cpu().images(&case.pass, case.background);
     let (_, by_tables) = case.cpu().images_backward(&case.pass, case.background, &by, &by_buffers, 29);
@@ -321,7 +321,7 @@ fn comparison_detects_a_small_change_of_any_input() {
         if channel == channel::PLANE || channel == channel::DEPTH {
             continue;
         }
-        let mut changed = Case::new(&gpu, 7, (12, 9), 2, deferred());
+        let mut changed = ShadingCase::new(&gpu, 7, (12, 9), 2, deferred());
         let value = changed.pass.at(4, 3, channel);
         set(&mut changed.pass, 4, 3, channel, value + 0.02);
         let results = changed.run(&by, &by_buffers, true);
@@ -334,7 +334,7 @@ fn comparison_detects_a_small_change_of_any_input() {
     }
     let mut options = case.options;
     options.srgb = false;
-    let changed = Case { options, ..Case::new(&gpu, 7, (12, 9), 2, options) };
+    let changed = ShadingCase { options, ..ShadingCase::new(&gpu, 7, (12, 9), 2, options) };
     let results = changed.run(&by, &by_buffers, false);
     assert!(rgb_error(&results.images[0], &images.physical) > 1e-2);
 }
@@ -345,7 +345,7 @@ fn radiance_branch_alone_matches_the_cpu_engine() {
     let gpu = Gpu::for_tests();
     let background = [0.1, 0.7, 0.4];
     for channels in [Channels::Colour, Channels::Geometry] {
-        let case = Case::new(&gpu, 3, (37, 21), 0, deferred());
+        let case = ShadingCase::new(&gpu, 3, (37, 21), 0, deferred());
         let (by, by_buffers) = case.gradients(8);
         let mut pass = empty_pass(case.pass.view, &case.options, channels);
         let (w, h) = (pass.view.width, pass.view.height);

@@ -1,7 +1,7 @@
 //! A step as the device takes it.
 
-use crate::gpu::{Buffer, CameraUniform, PhotoPixel, Submission, Ticket};
-use crate::light_turn::LightTurn;
+use crate::gpu::{Buffer, CameraUniform, PhotoPixel, ReadbackTicket, Submission};
+use crate::light_rotation::LightRotation;
 use crate::{Branches, StepCounts, StepSizes, StepWeights};
 use relume_layout::channel::StepChannels;
 
@@ -10,7 +10,7 @@ use relume_layout::channel::StepChannels;
 pub(super) struct DeviceStep {
     pub(super) camera: CameraUniform,
     pub(super) photo: Buffer<PhotoPixel>,
-    pub(super) light: LightTurn,
+    pub(super) light: LightRotation,
     pub(super) channels: StepChannels,
     pub(super) background: [f32; 3],
     pub(super) branches: Branches,
@@ -20,14 +20,14 @@ pub(super) struct DeviceStep {
 }
 
 /// A step that was submitted.
-pub(super) struct Pending {
+pub(super) struct SubmittedStep {
     pub(super) step: DeviceStep,
     pub(super) submission: Submission,
-    pub(super) losses: Ticket<f32>,
-    pub(super) listed: Ticket<u32>,
+    pub(super) losses: ReadbackTicket<f32>,
+    pub(super) list_status: ReadbackTicket<u32>,
 }
 
-impl std::fmt::Debug for Pending {
+impl std::fmt::Debug for SubmittedStep {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Pending").field("step", &self.step).finish_non_exhaustive()
     }

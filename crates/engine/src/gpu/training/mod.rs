@@ -3,8 +3,8 @@
 //! A step is one submission, which ends with a read of its sums; the host waits for those of the step before, so that the
 //! device always has a step to work on. Between steps everything that is learned stays in device memory.
 
-mod canvas;
 mod device_step;
+mod image_buffers;
 mod photos;
 mod size;
 mod state;
@@ -21,15 +21,15 @@ use crate::gpu::light::{Constants, TrainingLight};
 use crate::gpu::objective::LOSS_SLOTS;
 use crate::gpu::probes;
 use crate::gpu::raster::Raster;
-use crate::gpu::training::canvas::Canvas;
-use crate::gpu::training::device_step::Pending;
-use crate::gpu::training::photos::PhotoCache;
+use crate::gpu::training::device_step::SubmittedStep;
+use crate::gpu::training::image_buffers::ImageBuffers;
+use crate::gpu::training::photos::DevicePhotoCache;
 use crate::gpu::training::state::DeviceState;
 use crate::gpu::update::{STATUS_WORDS, Updater};
-use crate::gpu::{AttributeSource, Buffer, Gpu, Pace};
+use crate::gpu::{AttributeSource, Buffer, Gpu, InFlightLimit};
 use crate::{
     DensityPlan, DensitySignals, DeviceError, FieldUpdate, LightWeights, PhotoId, ProbeMeasurement,
-    ProbeSettings, Step, StepSums, TrainState, TrainingLimits, fibonacci_sphere, training,
+    ProbeSettings, Step, StepResult, TrainState, TrainingLimits, fibonacci_sphere, training,
 };
 use relume_scene::light::EnvOperators;
 use relume_scene::{IndirectForm, Model, VisibilityForm};
@@ -39,7 +39,7 @@ const STATUS_SLOT: usize = LOSS_SLOTS - 1;
 
 /// A training on the device.
 #[derive(Debug)]
-pub struct Training {
+pub struct GpuTraining {
     gpu: Gpu,
     /// Shape, options and card of the model; its parameters are those of the last load.
     shape: Model,
@@ -49,22 +49,22 @@ pub struct Training {
     /// With the operators of its light.
     snapshot: Option<(DeviceState, Arc<EnvOperators>)>,
     /// Degree of the measured visibility.
-    order: usize,
+    sh_degree: usize,
     raster: Raster,
     light: TrainingLight,
     constants: Constants,
     updater: Updater,
-    photos: PhotoCache,
-    canvas: Option<Canvas>,
+    photos: DevicePhotoCache,
+    image_buffers: Option<ImageBuffers>,
     losses: Buffer<f32>,
     /// Gradient of prototypes and raw environment.
     globals_gradient: Buffer<f32>,
     status: Buffer<u32>,
     /// The last step, as long as nobody knows what it came to.
-    pending: Option<Pending>,
+    pending: Option<SubmittedStep>,
 }
 
-impl Training {
+impl GpuTraining {
     /// Takes a training over and makes `state` its first snapshot.
     ///
     /// # Errors
@@ -78,13 +78,13 @@ impl Training {
         limits.check(gpu, &state.model.gaussians)?;
         let on_device = DeviceState::upload(gpu, &state)?;
         let mut training = Self {
-            order: operators.order(),
+            sh_degree: operators.sh_degree(),
             raster: Raster::new(gpu)?,
             light: TrainingLight::new(gpu, operators)?,
             constants: Constants::upload(gpu)?,
             updater: Updater::new(gpu)?,
-            photos: PhotoCache::default(),
-            canvas: None,
+            photos: DevicePhotoCache::default(),
+            image_buffers: None,
             losses: gpu.buffer("losses", LOSS_SLOTS)?,
             globals_gradient: gpu.buffer("gradient of what is shared", on_device.model.globals.len())?,
             status: gpu.buffer("status", STATUS_WORDS)?,
@@ -132,14 +132,15 @@ impl Training {
         let (gpu, model) = (&self.gpu, &self.state.model);
         let settings = ProbeSettings::of(&self.shape.shading);
         let directions = fibonacci_sphere(how.directions);
-        let probes = probes::measure(gpu, &model.params, &model.layout, settings, &directions, self.order)?;
+        let probes =
+            probes::measure(gpu, &model.params, &model.layout, settings, &directions, self.sh_degree)?;
         let lights = &self.operators.split().lights;
         let lights = LightProbes::measure(gpu, &model.params, &model.layout, &self.shape.shading, lights)?;
-        let mut pace = Pace::default();
+        let mut pace = InFlightLimit::default();
         if let Some(bounces) = bounces {
             let source = AttributeSource::new(model);
             self.state.measured.gathered.clear();
-            for turn in how.turns {
+            for turn in how.rotations {
                 let mut recorder = gpu.record();
                 self.light.apply(&mut recorder, model, *turn, &LightWeights::default(), &self.losses);
                 let gathered =
@@ -169,12 +170,12 @@ impl Training {
     }
 }
 
-impl training::Training for Training {
-    fn step(&mut self, step: &Step<'_>) -> Result<Option<StepSums>, DeviceError> {
+impl training::TrainingEngine for GpuTraining {
+    fn step(&mut self, step: &Step<'_>) -> Result<Option<StepResult>, DeviceError> {
         let step = self.device_step(step)?;
         let submitted = self.submit(step)?;
         match self.pending.replace(submitted) {
-            Some(earlier) => self.settle(earlier).map(Some),
+            Some(earlier) => self.finish_step(earlier).map(Some),
             None => Ok(None),
         }
     }
@@ -183,8 +184,8 @@ impl training::Training for Training {
         self.photos.holds(photo)
     }
 
-    fn finish(&mut self) -> Result<Option<StepSums>, DeviceError> {
-        self.pending.take().map(|pending| self.settle(pending)).transpose()
+    fn finish(&mut self) -> Result<Option<StepResult>, DeviceError> {
+        self.pending.take().map(|pending| self.finish_step(pending)).transpose()
     }
 
     fn measure(&mut self, how: &ProbeMeasurement<'_>) -> Result<(), DeviceError> {
@@ -226,7 +227,7 @@ impl training::Training for Training {
         // The snapshot has the old shape.
         self.snapshot = None;
         self.load(state)?;
-        self.order = operators.order();
+        self.sh_degree = operators.sh_degree();
         self.change_operators(operators)?;
         self.globals_gradient =
             self.gpu.buffer("gradient of what is shared", self.state.model.globals.len())?;

@@ -23,13 +23,13 @@ struct CachedPhoto {
 
 /// Photographs that stay in device memory, rgb and mask a pixel.
 #[derive(Debug, Default)]
-pub(super) struct PhotoCache {
+pub(super) struct DevicePhotoCache {
     /// By index and size.
     photos: HashMap<(usize, PhotoSize), CachedPhoto>,
     bytes: usize,
 }
 
-impl PhotoCache {
+impl DevicePhotoCache {
     /// True when the photograph is in device memory.
     pub(super) fn holds(&self, id: PhotoId) -> bool {
         self.held(id).is_some()

@@ -6,12 +6,12 @@ use crate::gpu::gather::GATHERED;
 use crate::gpu::light::TrainingLight;
 use crate::gpu::model::{ModelBuffers, planar};
 use crate::gpu::{AttributeSource, Buffer, Gpu};
-use crate::{LightTurn, Moments, TrainState};
+use crate::{LightRotation, Moments, TrainState};
 use relume_scene::{IndirectForm, MAX_LIGHTS, Model};
 
 /// What is measured, not learned.
 #[derive(Debug, Clone)]
-pub(super) struct Measured {
+pub(super) struct MeasuredBuffers {
     /// Probe labels, `[Gaussian][coefficient]`.
     pub(super) labels: Option<Buffer<f32>>,
     /// Gathered light by turn of the light, each with what arrives of the model's lights, as [`AttributeSource::gathered`].
@@ -20,7 +20,7 @@ pub(super) struct Measured {
     pub(super) ever: bool,
 }
 
-impl Measured {
+impl MeasuredBuffers {
     /// Drops what was measured of Gaussians that are gone.
     pub(super) fn forget_values(&mut self) {
         self.labels = None;
@@ -49,7 +49,7 @@ pub(super) struct DeviceState {
     pub(super) model: ModelBuffers,
     /// Sum of absgrad and steps on screen, by Gaussian.
     pub(super) density: Buffer<[f32; 2]>,
-    pub(super) measured: Measured,
+    pub(super) measured: MeasuredBuffers,
 }
 
 impl DeviceState {
@@ -72,7 +72,7 @@ impl DeviceState {
             if data.is_empty() { Ok(None) } else { gpu.upload(label, data).map(Some) }
         };
         let measured = measured_light(state);
-        let measured = Measured {
+        let measured = MeasuredBuffers {
             labels: some(&state.labels, "probe labels")?,
             gathered: measured
                 .iter()
@@ -137,7 +137,7 @@ impl DeviceState {
             ..self.model.clone()
         };
         let density = copy(&self.density.cast())?.cast();
-        let measured = Measured {
+        let measured = MeasuredBuffers {
             labels: self.measured.labels.as_ref().map(&mut copy).transpose()?,
             gathered: self.measured.gathered.iter().map(&mut copy).collect::<Result<_, _>>()?,
             ever: self.measured.ever,
@@ -159,7 +159,7 @@ impl DeviceState {
     }
 
     /// The model as frames read it, under the light of the training as it stood in a photograph.
-    pub(super) fn source(&self, light: &TrainingLight, turn: LightTurn) -> AttributeSource {
+    pub(super) fn source(&self, light: &TrainingLight, turn: LightRotation) -> AttributeSource {
         AttributeSource {
             gathered: self.measured.gathered.get(turn.block).cloned(),
             indirect_basis: Some(light.light.indirect_basis.clone()),

@@ -4,17 +4,17 @@ use crate::gpu::frame::{FrameBranches, FrameGradients, FramePass};
 use crate::gpu::objective::{LOSS_SLOTS, LossSlot, objective};
 use crate::gpu::raster::Differentiated;
 use crate::gpu::shading::Shading;
-use crate::gpu::training::canvas::Canvas;
-use crate::gpu::training::device_step::{DeviceStep, Pending};
+use crate::gpu::training::device_step::{DeviceStep, SubmittedStep};
+use crate::gpu::training::image_buffers::ImageBuffers;
 use crate::gpu::training::state::DeviceState;
-use crate::gpu::training::{STATUS_SLOT, Training};
-use crate::gpu::update::{StepInput, Sums, Updater, Upstream};
+use crate::gpu::training::{GpuTraining, STATUS_SLOT};
+use crate::gpu::update::{StepInput, UpdateSums, Updater, UpstreamGradients};
 use crate::gpu::{CameraUniform, Recorder};
-use crate::{DeviceError, RasterCamera, Step, StepSums};
+use crate::{DeviceError, RasterCamera, Step, StepResult};
 use relume_layout::constants::EarlyStop;
 use relume_scene::{IndirectForm, Model, VisibilityForm};
 
-impl Training {
+impl GpuTraining {
     /// `step` with its photograph in device memory.
     pub(super) fn device_step(&mut self, step: &Step<'_>) -> Result<DeviceStep, DeviceError> {
         let shading = &self.shape.shading;
@@ -32,37 +32,37 @@ impl Training {
     }
 
     /// Hands a step to the device. If its tile lists are short, neither it nor any step behind it changes anything until
-    /// [`Self::settle`] has seen that.
-    pub(super) fn submit(&mut self, step: DeviceStep) -> Result<Pending, DeviceError> {
+    /// [`Self::finish_step`] has seen that.
+    pub(super) fn submit(&mut self, step: DeviceStep) -> Result<SubmittedStep, DeviceError> {
         let gpu = self.gpu.clone();
         let pass = self.pass(&step);
-        let canvas = Canvas::at(&mut self.canvas, &gpu, step.camera.pixels())?;
+        let image_buffers = ImageBuffers::at(&mut self.image_buffers, &gpu, step.camera.pixels())?;
         let source = self.state.source(&self.light, step.light);
         let mut recorder = gpu.record();
         recorder.clear(&self.losses);
         recorder.clear(&self.globals_gradient);
         recorder.clear(&self.status);
         let projected = self.raster.record(&mut recorder, &step.camera, &source)?;
-        let listed = projected.listed().clone();
+        let list_status = projected.list_status().clone();
         if step.branches.is_physical() {
             let (turn, weights) = (step.light.radians, &step.weights.light);
             self.light.apply(&mut recorder, &self.state.model, turn, weights, &self.losses);
         }
         let frame = pass.forward(&mut recorder, projected)?;
-        pass.images(&mut recorder, &frame, &canvas.images)?;
-        canvas.terms(&mut recorder, &step, step.channels.blended, &step.photo, &frame, &self.losses);
+        pass.images(&mut recorder, &frame, &image_buffers.images)?;
+        image_buffers.terms(&mut recorder, &step, step.channels.blended, &step.photo, &frame, &self.losses);
         let gradients = FrameGradients {
-            by_images: &canvas.by_images,
-            by_buffers: &canvas.by_buffers,
+            by_images: &image_buffers.by_images,
+            by_buffers: &image_buffers.by_buffers,
             by_tables: &self.light.tables_gradient,
             differentiated: step.channels.differentiated,
         };
         let frame = pass.backward(&mut recorder, frame, &gradients)?;
-        let sums = Sums {
+        let sums = UpdateSums {
             globals_gradient: &self.globals_gradient,
             losses: &self.losses,
             density: &self.state.density,
-            listed: &listed,
+            list_status: &list_status,
             status: &self.status,
         };
         let (shape, state, updater) = (&self.shape, &self.state, &self.updater);
@@ -70,17 +70,17 @@ impl Training {
         update.record(&mut recorder, &step, frame)?;
         recorder.copy(&self.status.cast(), 0, &self.losses, STATUS_SLOT, 1);
         let losses = recorder.fetch(&self.losses, 0..LOSS_SLOTS);
-        let listed = recorder.fetch(&listed, 0..listed.len());
-        Ok(Pending { step, submission: recorder.submit()?, losses, listed })
+        let list_status = recorder.fetch(&list_status, 0..list_status.len());
+        Ok(SubmittedStep { step, submission: recorder.submit()?, losses, list_status })
     }
 
     /// Waits for a step and gives what it came to. Where its tile lists were short, it is submitted again with more memory, and so
     /// is the step behind it, which changed nothing either.
-    pub(super) fn settle(&mut self, mut pending: Pending) -> Result<StepSums, DeviceError> {
+    pub(super) fn finish_step(&mut self, mut pending: SubmittedStep) -> Result<StepResult, DeviceError> {
         loop {
-            let arrival = pending.submission.arrive()?;
-            let (listed, sums) = (arrival.read(&pending.listed)?, arrival.read(&pending.losses)?);
-            if self.raster.settle(&listed)? {
+            let arrival = pending.submission.wait_for_data()?;
+            let (list_status, sums) = (arrival.read(&pending.list_status)?, arrival.read(&pending.losses)?);
+            if self.raster.apply_list_status(&list_status)? {
                 return Ok(step_sums(&pending.step, &sums));
             }
             pending = self.submit(pending.step)?;
@@ -106,12 +106,12 @@ impl Training {
 }
 
 /// What a step came to, from its sums and the status in their last slot.
-fn step_sums(step: &DeviceStep, sums: &[f32]) -> StepSums {
+fn step_sums(step: &DeviceStep, sums: &[f32]) -> StepResult {
     let poisoned = sums[STATUS_SLOT].to_bits() != 0;
     let loss = objective(sums, &step.weights);
     let physical = step.branches.is_physical();
     let leading = if physical { LossSlot::PhysicalSquared } else { LossSlot::RadianceSquared };
-    StepSums { loss, mse: sums[leading as usize], finite: loss.is_finite() && !poisoned }
+    StepResult { loss, mse: sums[leading as usize], finite: loss.is_finite() && !poisoned }
 }
 
 /// What the parameter side of a step works on.
@@ -120,7 +120,7 @@ struct Update<'a> {
     state: &'a DeviceState,
     light: &'a crate::gpu::light::TrainingLight,
     updater: &'a Updater,
-    sums: Sums<'a>,
+    sums: UpdateSums<'a>,
 }
 
 impl Update<'_> {
@@ -142,11 +142,11 @@ impl Update<'_> {
         };
         let indirect = if physical { self.shape.shading.indirect } else { IndirectForm::Off };
         let basis = (&self.light.light.indirect_basis, &self.light.basis_gradient);
-        let upstream = Upstream {
+        let upstream = UpstreamGradients {
             indirect_basis: (indirect == IndirectForm::Learned).then_some(basis),
             probe_labels: self.state.measured.labels.as_ref(),
             view_labels: view_labels.as_ref(),
-            ..Upstream::new(&frame)
+            ..UpstreamGradients::new(&frame)
         };
         let model = &self.state.model;
         let input = StepInput { model, upstream, sums, weights };

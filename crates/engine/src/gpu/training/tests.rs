@@ -5,9 +5,9 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::training::Training as _;
+use crate::training::TrainingEngine as _;
 use crate::{
-    Branches, ImageWeights, LightTurn, Photo, PhotoId, PhotoSize, StepCounts, StepSizes, StepWeights,
+    Branches, ImageWeights, LightRotation, Photo, PhotoId, PhotoSize, StepCounts, StepSizes, StepWeights,
 };
 use relume_compare::{largest_difference, relative_error, worst};
 use relume_scene::light::TableResolution;
@@ -42,17 +42,18 @@ fn model() -> Model {
     }
 }
 
-fn training(gpu: &Gpu) -> Training {
+fn training(gpu: &Gpu) -> GpuTraining {
     let model = model();
-    let order = model.gaussians.visibility_order();
-    let operators = EnvOperators::new(model.env_width, model.env_height, order, TableResolution::TRAINING);
+    let sh_degree = model.gaussians.visibility_degree();
+    let operators =
+        EnvOperators::new(model.env_width, model.env_height, sh_degree, TableResolution::TRAINING);
     let limits = TrainingLimits {
         resolution: SIZE,
         pixels: (SIZE * SIZE) as usize,
         max_gaussians: GAUSSIANS as u32,
         probe_directions: 40,
     };
-    Training::new(gpu, TrainState::new(model), &Arc::new(operators), &limits).unwrap()
+    GpuTraining::new(gpu, TrainState::new(model), &Arc::new(operators), &limits).unwrap()
 }
 
 fn photos() -> Vec<Photo> {
@@ -63,7 +64,7 @@ fn photos() -> Vec<Photo> {
             camera: Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.8, (SIZE, SIZE)).unwrap(),
             pixels: (0..SIZE * SIZE).map(pixel).collect(),
             alpha: Vec::new(),
-            light: LightTurn::default(),
+            light: LightRotation::default(),
         }
     };
     (0..3).map(photo).collect()
@@ -83,7 +84,7 @@ fn step(photo: &Photo, index: usize, number: u32) -> Step<'_> {
 }
 
 /// What `count` steps came to.
-fn run(training: &mut Training, count: u32) -> Vec<StepSums> {
+fn run(training: &mut GpuTraining, count: u32) -> Vec<StepResult> {
     let photos = photos();
     let mut sums = Vec::new();
     for number in 1..=count {
@@ -94,7 +95,7 @@ fn run(training: &mut Training, count: u32) -> Vec<StepSums> {
     sums
 }
 
-fn loss_error(found: &StepSums, expected: &StepSums) -> f64 {
+fn loss_error(found: &StepResult, expected: &StepResult) -> f64 {
     relative_error(&[found.loss], &[expected.loss])
 }
 
@@ -145,13 +146,13 @@ fn step_needs_pixels_only_for_photographs_not_on_the_device() {
 fn steps_with_too_short_lists_are_repeated() {
     let gpu = Gpu::for_tests();
     let (mut roomy, mut short) = (training(&gpu), training(&gpu));
-    short.raster.set_room(16);
+    short.raster.set_capacity(16);
     let (expected, got) = (run(&mut roomy, 5), run(&mut short, 5));
     assert_eq!(got.len(), expected.len());
     for (a, b) in got.iter().zip(&expected) {
         assert!(loss_error(a, b) < 1e-4, "{a:?} {b:?}");
     }
-    let of = |training: &Training| training.state().unwrap().into_owned();
+    let of = |training: &GpuTraining| training.state().unwrap().into_owned();
     let (a, b) = (of(&short), of(&roomy));
     let field = Field::Radiance;
     let moved = largest_difference(model().gaussians.field(field), b.model.gaussians.field(field));
@@ -166,19 +167,19 @@ fn steps_with_too_short_lists_are_repeated() {
 fn step_with_too_short_lists_changes_no_state() {
     let gpu = Gpu::for_tests();
     let mut training = training(&gpu);
-    training.raster.set_room(16);
+    training.raster.set_capacity(16);
     let before = training.state().unwrap().into_owned();
     let photos = photos();
     for number in 1..3 {
         let step = training.device_step(&step(&photos[0], 0, number)).unwrap();
         training.submit(step).unwrap();
     }
-    let state = |training: &Training| training.state().unwrap().into_owned();
+    let state = |training: &GpuTraining| training.state().unwrap().into_owned();
     let now = state(&training);
     assert_eq!(now.model, before.model);
     assert_eq!((now.moments, now.density), (before.moments.clone(), before.density));
-    training.raster.set_room(1 << 14);
-    gpu.write(training.raster.listed(), 1, &[0]);
+    training.raster.set_capacity(1 << 14);
+    gpu.write(training.raster.list_status(), 1, &[0]);
     let again = training.device_step(&step(&photos[0], 0, 1)).unwrap();
     training.submit(again).unwrap();
     assert_ne!(state(&training).model, before.model, "the control");
@@ -191,14 +192,14 @@ fn step_needs_one_submission_one_wait_and_no_new_bind_group() {
     let mut training = training(&gpu);
     run(&mut training, 4);
     let (before, groups) = (gpu.counts(), gpu.inner.bind_groups.len());
-    gpu.inner.tally.take_most_ahead();
+    gpu.inner.counters.take_max_in_flight();
     run(&mut training, 10);
     let spent = gpu.counts() - before;
     assert_eq!((spent.submissions, spent.waits), (10, 10));
     assert!(spent.dispatches <= 10 * 75, "{} dispatches a step", spent.dispatches / 10);
     assert_eq!(gpu.inner.bind_groups.len(), groups);
     assert_eq!(
-        gpu.inner.tally.take_most_ahead(),
+        gpu.inner.counters.take_max_in_flight(),
         2,
         "a step is recorded while the device is at the one before"
     );
@@ -213,12 +214,12 @@ fn training_never_queues_more_than_three_submissions_ahead() {
     let gpu = Gpu::with_options(Default::default());
     let mut training = training(&gpu);
     run(&mut training, 2);
-    gpu.inner.tally.take_most_ahead();
-    let turns = [0.0, 1.0, 2.0, 3.0];
+    gpu.inner.counters.take_max_in_flight();
+    let rotations = [0.0, 1.0, 2.0, 3.0];
     let how = ProbeMeasurement {
         directions: 40,
         bounces: 2,
-        turns: &turns,
+        rotations: &rotations,
         field: FieldUpdate::Replace,
         repeats: 2,
     };
@@ -226,11 +227,11 @@ fn training_never_queues_more_than_three_submissions_ahead() {
     training.measure(&how).unwrap();
     let slices = (gpu.counts() - before).submissions;
     assert!(slices > 2 * 40, "a measurement is cut into slices: {slices}");
-    assert_eq!(gpu.inner.tally.take_most_ahead(), 2, "slices that a frame would wait for");
+    assert_eq!(gpu.inner.counters.take_max_in_flight(), 2, "slices that a frame would wait for");
     assert!(training.snapshot().unwrap());
     run(&mut training, 3);
     // Copies of the snapshot come before the first step.
-    assert!(gpu.inner.tally.take_most_ahead() <= 3);
+    assert!(gpu.inner.counters.take_max_in_flight() <= 3);
 }
 
 #[test]

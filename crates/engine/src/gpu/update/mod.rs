@@ -62,7 +62,7 @@ struct LabelCount {
 
 /// What the backward pass through the image left, and the labels.
 #[derive(Debug, Clone, Copy)]
-pub struct Upstream<'a> {
+pub struct UpstreamGradients<'a> {
     /// The camera.
     pub camera: &'a CameraUniform,
     /// Splats by Gaussian.
@@ -79,7 +79,7 @@ pub struct Upstream<'a> {
     pub view_labels: Option<&'a Buffer<[f32; 2]>>,
 }
 
-impl<'a> Upstream<'a> {
+impl<'a> UpstreamGradients<'a> {
     /// The gradients of `frame`, without labels and learned indirect light.
     pub fn new(frame: &'a Differentiated<'_>) -> Self {
         let projected = &frame.blended.attributed.projected;
@@ -97,16 +97,16 @@ impl<'a> Upstream<'a> {
 
 /// Sums that the update adds to; cleared by the caller.
 #[derive(Debug, Clone, Copy)]
-pub struct Sums<'a> {
+pub struct UpdateSums<'a> {
     /// Gradient of prototypes and raw environment, like `ModelBuffers::globals`; the prototypes' part is added here.
     pub globals_gradient: &'a Buffer<f32>,
     /// 16 values, slots of `shaders/shared/losses.wgsl`.
     pub losses: &'a Buffer<f32>,
     /// Per Gaussian: sum of absgrad in half image widths, steps on screen.
     pub density: &'a Buffer<[f32; 2]>,
-    /// What the tile lists of the step hold ([`Projected::listed`](crate::gpu::raster::Projected::listed)): where they
+    /// What the tile lists of the step hold ([`Projected::list_status`](crate::gpu::raster::Projected::list_status)): where they
     /// were short, nothing is updated.
-    pub listed: &'a Buffer<u32>,
+    pub list_status: &'a Buffer<u32>,
     /// Element 0 becomes non-zero when a gradient is not finite: what it belongs to was then left alone, and the step
     /// must be rolled back.
     pub status: &'a Buffer<u32>,
@@ -118,9 +118,9 @@ pub struct StepInput<'a> {
     /// Parameters and moments.
     pub model: &'a ModelBuffers,
     /// Gradients of the image, and labels.
-    pub upstream: Upstream<'a>,
+    pub upstream: UpstreamGradients<'a>,
     /// What is added to.
-    pub sums: Sums<'a>,
+    pub sums: UpdateSums<'a>,
     /// Weights of the terms on the parameters.
     pub weights: ParameterWeights,
 }
@@ -172,7 +172,7 @@ impl Updater {
         &self,
         recorder: &mut Recorder<'_>,
         model: &ModelBuffers,
-        sums: &Sums<'_>,
+        sums: &UpdateSums<'_>,
         sizes: &StepSizes,
         counts: StepCounts,
     ) {
@@ -195,7 +195,7 @@ impl Updater {
             (&model.globals_first).into(),
             (&model.globals_second).into(),
             sums.status.into(),
-            sums.listed.into(),
+            sums.list_status.into(),
         ];
         recorder.stage("update");
         recorder.dispatch(&shaders::ADAM_GLOBALS, Groups::Linear(n), &bindings);
@@ -260,7 +260,7 @@ impl Updater {
             sums.losses.into(),
             sums.density.into(),
             sums.status.into(),
-            sums.listed.into(),
+            sums.list_status.into(),
             (&model.params).into(),
         ];
         bindings.extend(outputs.iter().map(|b| (*b).into()));

@@ -92,16 +92,16 @@ impl CompressedRows {
 /// The operators of one environment size, and what of an environment is taken out as lights first.
 #[derive(Debug, Clone)]
 pub struct EnvOperators {
-    maps: Arc<Maps>,
+    maps: Arc<OperatorMatrices>,
     split: LightSplit,
 }
 
 /// The linear maps of a whole environment.
 #[derive(Debug)]
-struct Maps {
+struct OperatorMatrices {
     width: usize,
     height: usize,
-    order: usize,
+    sh_degree: usize,
     diffuse_grid: CubeGrid,
     specular_grids: [CubeGrid; SPECULAR_LEVELS.len()],
     /// `(n.w)+ dw`, node-major.
@@ -124,8 +124,8 @@ struct Slices {
 }
 
 impl EnvOperators {
-    /// Operators for `width` x `height` environments and visibility of degree `order`.
-    pub fn new(width: usize, height: usize, order: usize, resolution: TableResolution) -> Self {
+    /// Operators for `width` x `height` environments and visibility of degree `sh_degree`.
+    pub fn new(width: usize, height: usize, sh_degree: usize, resolution: TableResolution) -> Self {
         let texels = texel_directions(width, height);
         let diffuse_grid = CubeGrid::new(resolution.diffuse);
         let cosine =
@@ -138,15 +138,15 @@ impl EnvOperators {
             let alpha = f64::from(SPECULAR_LEVELS[k]).powi(2).max(0.25 * texel_angle);
             SparseRows::new(&specular_grids[k], |r| lobe_weights(r, alpha, &texels))
         });
-        let coefficients = padded(sh_count(order));
+        let coefficients = padded(sh_count(sh_degree));
         let mut harmonics = vec![0.0f32; texels.len() * coefficients];
         for ((d, _), row) in texels.iter().zip(harmonics.chunks_mut(coefficients)) {
-            sh_eval(order, d.to_array().map(|v| v as f32), row);
+            sh_eval(sh_degree, d.to_array().map(|v| v as f32), row);
         }
-        let maps = Maps {
+        let maps = OperatorMatrices {
             width,
             height,
-            order,
+            sh_degree,
             diffuse_grid,
             cosine_transposed: cosine.transposed(texels.len()),
             cosine,
@@ -224,7 +224,7 @@ impl EnvOperators {
     /// Empty tables of the shape [`Self::apply`] gives.
     pub fn shape(&self) -> LightTables {
         let maps = &*self.maps;
-        let coefficients = padded(sh_count(maps.order));
+        let coefficients = padded(sh_count(maps.sh_degree));
         let unlit = |light: &SplitLight| TableLight {
             direction: light.direction,
             radius: light.radius,
@@ -241,8 +241,8 @@ impl EnvOperators {
     }
 
     /// Degree of the visibility field the diffuse table serves.
-    pub fn order(&self) -> usize {
-        self.maps.order
+    pub fn sh_degree(&self) -> usize {
+        self.maps.sh_degree
     }
 
     /// The tables of an environment given as `width * height` radiances: `M L` of what is not a light's, and the lights.
@@ -278,7 +278,7 @@ impl EnvOperators {
     }
 }
 
-impl Maps {
+impl OperatorMatrices {
     fn slices(&self) -> &Slices {
         self.slices.get_or_init(|| Slices {
             specular: self.specular.each_ref().map(SparseRows::sliced),
@@ -288,7 +288,7 @@ impl Maps {
 
     /// `M L`.
     fn apply(&self, radiance: &[[f32; 3]]) -> LightTables {
-        let n = padded(sh_count(self.order));
+        let n = padded(sh_count(self.sh_degree));
         // F[t] = Y_j(t) L_c(t), the light that a coefficient lets through at texel t.
         let products: Vec<f32> = radiance
             .par_iter()
@@ -331,7 +331,7 @@ impl Maps {
 
     /// `M^T g`.
     fn apply_transposed(&self, gradient: &LightTables) -> Vec<[f32; 3]> {
-        let n = padded(sh_count(self.order));
+        let n = padded(sh_count(self.sh_degree));
         let mut out = vec![[0.0f32; 3]; self.width * self.height];
         let transposed = &self.slices().transposed;
         let slices = out.par_chunks_mut(LANES).enumerate().with_min_len(2);

@@ -3,8 +3,8 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::render::mesh::surface::Surface;
-use crate::render::mesh::views::View;
+use crate::render::mesh::surface::QuadMesh;
+use crate::render::mesh::views::DepthView;
 use relume_capture::formats::ImageFileError;
 use relume_capture::formats::gltf::TexturedMesh;
 use relume_capture::formats::image_file::encode_png;
@@ -15,9 +15,9 @@ use relume_scene::srgb;
 /// interpolation stays inside.
 const SIDE: usize = 4;
 /// Most texels along a texture.
-const MOST: usize = 8192;
+const MAX_TEXTURE_SIDE: usize = 8192;
 /// Cosine between surface and view below which a view does not count.
-const LEAST_COSINE: f32 = 0.2;
+const MIN_COSINE: f32 = 0.2;
 
 /// What was seen of a texel, as weighted sums.
 #[derive(Debug, Clone, Copy, Default)]
@@ -39,7 +39,7 @@ pub(super) struct Atlas {
 
 impl Atlas {
     /// None when a texture would be too large.
-    pub(super) fn new(surface: &Surface) -> Option<Self> {
+    pub(super) fn new(surface: &QuadMesh) -> Option<Self> {
         let columns = ((surface.quads.len() as f64).sqrt().ceil() as usize).next_power_of_two();
         let texels = surface.quads.iter().flat_map(|quad| {
             let [a, b, c, d] = quad.map(|v| surface.vertices[v as usize]);
@@ -49,18 +49,18 @@ impl Atlas {
                 Texel { place: a.lerp(b, u).lerp(d.lerp(c, u), v), facing, ..Texel::default() }
             })
         });
-        (columns * SIDE <= MOST).then(|| Self { texels: texels.collect(), columns })
+        (columns * SIDE <= MAX_TEXTURE_SIDE).then(|| Self { texels: texels.collect(), columns })
     }
 
     /// Takes in what a view shows of points that it sees, within `tolerance` of what is nearest in it.
-    pub(super) fn add(&mut self, view: &View, tolerance: f32) {
+    pub(super) fn add(&mut self, view: &DepthView, tolerance: f32) {
         let plane = |output| view.frame.planes.get(&output).map_or(&[][..], Vec::as_slice);
         let (albedo, normals) =
             (plane(Output::Albedo).as_chunks::<3>().0, plane(Output::Normal).as_chunks::<3>().0);
         let (metallic, roughness) = (plane(Output::Metallic), plane(Output::Roughness));
         self.texels.par_iter_mut().with_min_len(1024).for_each(|texel| {
             let cosine = texel.facing.dot(view.towards(texel.place));
-            let Some(seen) = view.find(texel.place).filter(|_| cosine > LEAST_COSINE) else { return };
+            let Some(seen) = view.find(texel.place).filter(|_| cosine > MIN_COSINE) else { return };
             if (seen.depth - seen.z).abs() > tolerance {
                 return;
             }
@@ -76,7 +76,7 @@ impl Atlas {
     /// The mesh with its textures; `to_capture` brings points there.
     pub(super) fn into_mesh(
         self,
-        surface: &Surface,
+        surface: &QuadMesh,
         to_capture: impl Fn(Vec3) -> Vec3,
     ) -> Result<TexturedMesh, ImageFileError> {
         let rows = surface.quads.len().div_ceil(self.columns);

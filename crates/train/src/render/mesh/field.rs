@@ -3,7 +3,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::render::mesh::views::View;
+use crate::render::mesh::views::DepthView;
 
 /// Half of the side of the grid: the unit ball and a margin.
 const HALF: f32 = 1.05;
@@ -45,7 +45,7 @@ impl DistanceField {
     }
 
     /// Takes in what a view tells: nodes in front of what it sees are outside, those a little behind inside.
-    pub(super) fn add(&mut self, view: &View) {
+    pub(super) fn add(&mut self, view: &DepthView) {
         let (n, truncation) = (self.cells + 1, TRUNCATION * self.cell());
         let (cell, half) = (self.cell(), Vec3::splat(HALF));
         self.nodes.par_chunks_mut(n * n).enumerate().for_each(|(z, slab)| {

@@ -11,7 +11,7 @@ use glam::Vec3;
 use crate::render::RenderError;
 use crate::render::mesh::atlas::Atlas;
 use crate::render::mesh::field::DistanceField;
-use crate::render::mesh::views::View;
+use crate::render::mesh::views::DepthView;
 use crate::render::renderer::Renderer;
 use relume_capture::formats::gltf::TexturedMesh;
 use relume_scene::Output;
@@ -48,7 +48,7 @@ impl Renderer {
         let light = self.prepare_light(self.model().recovered_light())?;
         let mut field = DistanceField::new(options.cells);
         for camera in &cameras {
-            field.add(&View::new(self, &light, camera, &[Output::Depth])?);
+            field.add(&DepthView::new(self, &light, camera, &[Output::Depth])?);
         }
         let surface = surface::of(&field);
         if surface.quads.is_empty() {
@@ -58,7 +58,7 @@ impl Renderer {
             Atlas::new(&surface).ok_or_else(|| refused("cells", "are too many for one texture"))?;
         let outputs = [Output::Depth, Output::Normal, Output::Albedo, Output::Metallic, Output::Roughness];
         for camera in &cameras {
-            atlas.add(&View::new(self, &light, camera, &outputs)?, 2.0 * field.cell());
+            atlas.add(&DepthView::new(self, &light, camera, &outputs)?, 2.0 * field.cell());
         }
         let model = self.model();
         let to_capture = |p: Vec3| (p.as_dvec3() / model.world_scale - model.world_offset).as_vec3();

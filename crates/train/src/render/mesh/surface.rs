@@ -8,19 +8,19 @@ use glam::Vec3;
 use crate::render::mesh::field::DistanceField;
 
 /// Pieces with a smaller share of all quads are left out: what floats.
-const LEAST_PIECE: f64 = 0.01;
+const MIN_PIECE_SHARE: f64 = 0.01;
 
 /// Quads with shared vertices, world units.
-pub(super) struct Surface {
+pub(super) struct QuadMesh {
     pub(super) vertices: Vec<Vec3>,
     /// Corners counter-clockwise seen from outside.
     pub(super) quads: Vec<[u32; 4]>,
 }
 
 /// The surface of `field` where all of a cell is known.
-pub(super) fn of(field: &DistanceField) -> Surface {
+pub(super) fn of(field: &DistanceField) -> QuadMesh {
     let mut cells = HashMap::new();
-    let mut out = Surface { vertices: Vec::new(), quads: Vec::new() };
+    let mut out = QuadMesh { vertices: Vec::new(), quads: Vec::new() };
     let n = field.cells();
     let every = || (0..n).flat_map(|z| (0..n).flat_map(move |y| (0..n).map(move |x| [x, y, z])));
     for cell in every() {
@@ -84,7 +84,7 @@ fn quad(
 }
 
 /// The quads of the pieces that are not small.
-fn large_pieces(surface: &Surface) -> Vec<[u32; 4]> {
+fn large_pieces(surface: &QuadMesh) -> Vec<[u32; 4]> {
     let mut parent: Vec<u32> = (0..surface.vertices.len() as u32).collect();
     for quad in &surface.quads {
         let first = root(&mut parent, quad[0]);
@@ -97,7 +97,7 @@ fn large_pieces(surface: &Surface) -> Vec<[u32; 4]> {
     for quad in &surface.quads {
         *sizes.entry(root(&mut parent, quad[0])).or_default() += 1;
     }
-    let least = LEAST_PIECE * surface.quads.len() as f64;
+    let least = MIN_PIECE_SHARE * surface.quads.len() as f64;
     let is_large = |quad: &&[u32; 4]| sizes[&root(&mut parent, quad[0])] as f64 >= least;
     surface.quads.iter().filter(is_large).copied().collect()
 }
@@ -137,7 +137,8 @@ mod tests {
         assert!(half.vertices.iter().all(|v| v.z > -0.31));
         let speck = |p: Vec3| Some((p.length() - 0.6).min((p - Vec3::splat(0.8)).length() - 0.055));
         let field = DistanceField::of(48, speck);
-        let is_speck = |surface: &Surface, quad: &[u32; 4]| surface.vertices[quad[0] as usize].length() > 0.9;
+        let is_speck =
+            |surface: &QuadMesh, quad: &[u32; 4]| surface.vertices[quad[0] as usize].length() > 0.9;
         let surface = of(&field);
         assert!(surface.vertices.iter().any(|v| v.length() > 0.9), "the control: the field has one");
         assert!(!surface.quads.iter().any(|q| is_speck(&surface, q)));

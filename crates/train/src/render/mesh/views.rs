@@ -9,18 +9,18 @@ use relume_scene::{Camera, Model};
 use relume_spec::rendering::Tier;
 
 /// Lowest view, as the sine of its elevation.
-const LOWEST: f64 = -0.17;
+const MIN_VIEW_HEIGHT: f64 = -0.17;
 /// Coverage from which a pixel shows a surface.
-const LEAST_COVERAGE: f32 = 0.5;
+const MIN_COVERAGE: f32 = 0.5;
 /// Depths of neighbouring pixels that differ by more belong to two surfaces, between which nothing is known; world units.
-const LARGEST_STEP: f32 = 0.05;
+const MAX_PIXEL_DEPTH_STEP: f32 = 0.05;
 /// Golden angle, degrees.
 const GOLDEN_ANGLE: f64 = 137.507_764_05;
 
 /// `count` cameras evenly around the model, in capture coordinates.
 pub(super) fn around(model: &Model, count: usize, size: u32) -> Result<Vec<Camera>, RenderError> {
     let one = |i: usize| {
-        let height = LOWEST + (1.0 - LOWEST) * (i as f64 + 0.5) / count as f64;
+        let height = MIN_VIEW_HEIGHT + (1.0 - MIN_VIEW_HEIGHT) * (i as f64 + 0.5) / count as f64;
         let orbit = Orbit {
             azimuth_deg: Some(GOLDEN_ANGLE * i as f64),
             elevation_deg: Some(height.asin().to_degrees()),
@@ -33,7 +33,7 @@ pub(super) fn around(model: &Model, count: usize, size: u32) -> Result<Vec<Camer
 }
 
 /// A frame with where its pixels lie, in the normalised world.
-pub(super) struct View {
+pub(super) struct DepthView {
     pub(super) frame: Frame,
     rotation: Mat3,
     translation: Vec3,
@@ -46,7 +46,7 @@ pub(super) struct View {
 
 /// A point in a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Seen {
+pub(super) struct ViewSample {
     /// The pixel's index.
     pub(super) pixel: usize,
     /// Distance of the point along the optical axis.
@@ -55,7 +55,7 @@ pub(super) struct Seen {
     pub(super) depth: f32,
 }
 
-impl View {
+impl DepthView {
     pub(super) fn new(
         renderer: &Renderer,
         light: &PreparedLight,
@@ -78,7 +78,7 @@ impl View {
     }
 
     /// Where `point` is seen, if it lies in the picture and what is there is known.
-    pub(super) fn find(&self, point: Vec3) -> Option<Seen> {
+    pub(super) fn find(&self, point: Vec3) -> Option<ViewSample> {
         let p = self.rotation * point + self.translation;
         if p.z <= 1e-3 {
             return None;
@@ -91,7 +91,7 @@ impl View {
         }
         let pixel = y as usize * width + x as usize;
         let depth = self.depth[pixel];
-        (!depth.is_nan()).then_some(Seen { pixel, z: p.z, depth })
+        (!depth.is_nan()).then_some(ViewSample { pixel, z: p.z, depth })
     }
 
     /// Unit direction from `point` to the camera.
@@ -100,7 +100,7 @@ impl View {
     }
 }
 
-/// Depths of a frame as [`View`] has them.
+/// Depths of a frame as [`DepthView`] has them.
 fn depths(frame: &Frame, scale: f32) -> Vec<f32> {
     let (width, height) = (frame.width as usize, frame.height as usize);
     let plane = |output| frame.planes.get(&output).map_or(&[][..], Vec::as_slice);
@@ -108,7 +108,7 @@ fn depths(frame: &Frame, scale: f32) -> Vec<f32> {
     let whole: Vec<f32> = depth
         .iter()
         .zip(coverage)
-        .map(|(d, a)| if *a >= LEAST_COVERAGE { d * scale } else { f32::INFINITY })
+        .map(|(d, a)| if *a >= MIN_COVERAGE { d * scale } else { f32::INFINITY })
         .collect();
     let at = |x: usize, y: usize| whole[y * width + x];
     let is_edge = |x: usize, y: usize| {
@@ -118,7 +118,7 @@ fn depths(frame: &Frame, scale: f32) -> Vec<f32> {
             (y > 0).then(|| at(x, y - 1)),
             (y + 1 < height).then(|| at(x, y + 1)),
         ];
-        let step = |d: f32| d.is_finite() && (d - at(x, y)).abs() > LARGEST_STEP;
+        let step = |d: f32| d.is_finite() && (d - at(x, y)).abs() > MAX_PIXEL_DEPTH_STEP;
         at(x, y).is_finite() && around.into_iter().flatten().any(step)
     };
     (0..whole.len()).map(|i| if is_edge(i % width, i / width) { f32::NAN } else { whole[i] }).collect()

@@ -54,7 +54,7 @@ fn column_error(got: &[Vec<f32>], expected: &[Vec<f64>]) -> f64 {
 }
 
 /// Runs both ways back; gives the largest error against f64.
-pub(super) fn check(raster: &mut Raster, scene: &Scene, channels: Channels, count: usize) -> f64 {
+pub(super) fn check(raster: &mut Raster, scene: &RasterScene, channels: Channels, count: usize) -> f64 {
     let n = scene.gaussians.len();
     let gpu = raster.gpu.clone();
     let frame = scene.gpu(raster, channels, EarlyStop::Never);
@@ -96,8 +96,8 @@ fn gradients_of_every_channel_set_match_f64() {
         (Channels::Full(36), 56),
         (Channels::Full(49), 69),
     ] {
-        let order = if let Channels::Full(c) = channels { c.isqrt() - 1 } else { 1 };
-        let error = check(&mut raster, &Scene::random(5, 150, (37, 21), order), channels, count);
+        let sh_degree = if let Channels::Full(c) = channels { c.isqrt() - 1 } else { 1 };
+        let error = check(&mut raster, &RasterScene::random(5, 150, (37, 21), sh_degree), channels, count);
         eprintln!("{channels:?} {count}: {error:e}");
         assert!(error < 2e-5, "{channels:?} {count}: {error:e}");
     }
@@ -108,7 +108,7 @@ fn gradients_of_every_channel_set_match_f64() {
 fn gradients_match_the_cpu() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let scene = Scene::random(6, 400, (64, 48), 2);
+    let scene = RasterScene::random(6, 400, (64, 48), 2);
     let (channels, count, n) = (Channels::Material, 13, scene.gaussians.len());
     let frame = scene.gpu(&mut raster, channels, EarlyStop::WhenSaturated);
     let pass = scene.cpu(channels, EarlyStop::WhenSaturated);
@@ -144,7 +144,7 @@ fn gradients_match_the_cpu() {
 fn the_gradient_comparison_notices_one_changed_pixel() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let scene = Scene::random(5, 150, (37, 21), 1);
+    let scene = RasterScene::random(5, 150, (37, 21), 1);
     let n = scene.gaussians.len();
     let frame = scene.gpu(&mut raster, Channels::Material, EarlyStop::Never);
     let pass = scene.cpu(Channels::Material, EarlyStop::Never);
@@ -163,7 +163,7 @@ fn zero_gradients_stay_zero_and_wrong_group_counts_are_refused() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     fn geometry(raster: &mut Raster) -> Blended<'_> {
-        Scene::random(5, 150, (37, 21), 1).gpu(raster, Channels::Geometry, EarlyStop::WhenSaturated)
+        RasterScene::random(5, 150, (37, 21), 1).gpu(raster, Channels::Geometry, EarlyStop::WhenSaturated)
     }
     let rows = device_rows(&gpu, geometry(&mut raster), &vec![vec![0.0; 8]; 37 * 21], 150);
     assert!(rows.iter().flatten().all(|v| *v == 0.0));
@@ -182,12 +182,12 @@ fn gradients_without_float_atomics_match_f64() {
         crate::gpu::GpuOptions { compare_exchange: true, garbage: true, checks: true, ..Default::default() };
     let gpu = Gpu::with_options(options);
     let mut raster = Raster::new(&gpu).unwrap();
-    let error = check(&mut raster, &Scene::random(5, 150, (37, 21), 1), Channels::Material, 13);
+    let error = check(&mut raster, &RasterScene::random(5, 150, (37, 21), 1), Channels::Material, 13);
     assert!(error < 2e-5, "{error:e}");
 }
 
 /// Largest error of labels and weights, in units of the largest weight.
-pub(super) fn label_error(raster: &mut Raster, scene: &Scene) -> f64 {
+pub(super) fn label_error(raster: &mut Raster, scene: &RasterScene) -> f64 {
     let gpu = raster.gpu.clone();
     let mut projected = raster.prepare(&CameraUniform::new(&scene.view), &scene.on_device(&gpu)).unwrap();
     let mut rec = gpu.record();
@@ -216,7 +216,7 @@ fn backward_labels_match_the_cpu() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for (seed, n, size) in [(21, 400, (64, 48)), (22, 300, (37, 21)), (23, 30, (1, 1))] {
-        let error = label_error(&mut raster, &Scene::random(seed, n, size, 1));
+        let error = label_error(&mut raster, &RasterScene::random(seed, n, size, 1));
         eprintln!("labels of {n} in {size:?}: {error:e}");
         assert!(error < 1e-5, "{size:?}: {error:e}");
     }

@@ -5,7 +5,7 @@ use super::*;
 use relume_compare::largest_difference;
 
 /// Largest error of the G-buffer against f64 in units of each channel's largest value: device, CPU.
-fn forward_errors(raster: &mut Raster, scene: &Scene, channels: Channels) -> (f64, f64) {
+fn forward_errors(raster: &mut Raster, scene: &RasterScene, channels: Channels) -> (f64, f64) {
     let gpu = raster.gpu.clone();
     let frame = scene.gpu(raster, channels, EarlyStop::Never);
     let pass = scene.cpu(channels, EarlyStop::Never);
@@ -32,7 +32,7 @@ fn forward_errors(raster: &mut Raster, scene: &Scene, channels: Channels) -> (f6
 fn elongated_gaussians_keep_precision_on_both_engines() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let scene = Scene::random(31, 60, (64, 48), 1).fill(Field::LogScale, &[0.7, -6.0, -6.5]);
+    let scene = RasterScene::random(31, 60, (64, 48), 1).fill(Field::LogScale, &[0.7, -6.0, -6.5]);
     let (device, cpu) = forward_errors(&mut raster, &scene, Channels::Material);
     let back = check(&mut raster, &scene, Channels::Material, 13);
     eprintln!("needles: device {device:e}, CPU {cpu:e}, backward {back:e}");
@@ -46,7 +46,7 @@ fn flat_and_image_covering_gaussians_match_f64() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for (name, scale, n) in [("pancakes", [-1.5, -1.2, -8.0], 80), ("covering", [1.0, 1.2, 0.8], 40)] {
-        let scene = Scene::random(32, n, (64, 48), 1).fill(Field::LogScale, &scale);
+        let scene = RasterScene::random(32, n, (64, 48), 1).fill(Field::LogScale, &scale);
         let (device, cpu) = forward_errors(&mut raster, &scene, Channels::Material);
         let back = check(&mut raster, &scene, Channels::Material, 13);
         let labels = label_error(&mut raster, &scene);
@@ -61,7 +61,7 @@ fn three_hundred_opaque_layers_match_f64() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for logit in [-1.0, 4.0, 9.0] {
-        let scene = Scene::random(33, 300, (16, 16), 1)
+        let scene = RasterScene::random(33, 300, (16, 16), 1)
             .fill(Field::LogScale, &[0.0, 0.2, -0.3])
             .fill(Field::OpacityLogit, &[logit]);
         let (device, cpu) = forward_errors(&mut raster, &scene, Channels::Material);
@@ -77,7 +77,7 @@ fn three_hundred_opaque_layers_match_f64() {
 fn early_stop_error_is_at_most_its_threshold() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let scene = Scene::random(34, 300, (37, 21), 1).fill(Field::LogScale, &[-1.0, -0.8, -1.2]);
+    let scene = RasterScene::random(34, 300, (37, 21), 1).fill(Field::LogScale, &[-1.0, -0.8, -1.2]);
     let whole = gbuffer(&gpu, &scene.gpu(&mut raster, Channels::Colour, EarlyStop::Never));
     let stopped = gbuffer(&gpu, &scene.gpu(&mut raster, Channels::Colour, EarlyStop::WhenSaturated));
     let most = largest_difference(&column(&whole, 0), &column(&stopped, 0));
@@ -90,7 +90,7 @@ fn any_image_size_matches_the_cpu() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for size in [(1, 1), (1, 40), (16, 16), (17, 15), (37, 21), (3, 64)] {
-        let scene = Scene::random(35, 100, size, 1);
+        let scene = RasterScene::random(35, 100, size, 1);
         assert_forward(&mut raster, &scene, Channels::Geometry, 2e-5, &format!("{size:?}"));
         let back = check(&mut raster, &scene, Channels::Geometry, 8);
         assert!(back < 1e-4, "{size:?}: {back:e}");
@@ -104,7 +104,7 @@ fn no_visible_gaussians_give_an_empty_image() {
     let mut raster = Raster::new(&gpu).unwrap();
     for n in [0, 5] {
         // Behind the camera, if any.
-        let scene = Scene::random(36, n, (20, 20), 1).fill(Field::Mean, &[0.4, -20.0, 0.9]);
+        let scene = RasterScene::random(36, n, (20, 20), 1).fill(Field::Mean, &[0.4, -20.0, 0.9]);
         let frame = scene.gpu(&mut raster, Channels::Colour, EarlyStop::WhenSaturated);
         assert_eq!(counts(&frame), RasterCounts::default());
         assert!(gbuffer(&gpu, &frame).iter().flatten().all(|v| *v == 0.0));
@@ -124,7 +124,7 @@ fn gaussians_with_nan_parameters_are_invisible() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let fields = [Field::Mean, Field::LogScale, Field::Quaternion, Field::OpacityLogit];
-    let mut scene = Scene::random(37, 40, (20, 20), 1);
+    let mut scene = RasterScene::random(37, 40, (20, 20), 1);
     let all = counts(&scene.gpu(&mut raster, Channels::Colour, EarlyStop::WhenSaturated)).visible;
     for (i, field) in fields.into_iter().enumerate() {
         for k in 0..scene.gaussians.width(field) {
@@ -149,7 +149,7 @@ fn gaussians_with_nan_parameters_are_invisible() {
 fn equal_depths_are_ordered_by_index() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let scene = Scene::random(38, 100, (37, 21), 1)
+    let scene = RasterScene::random(38, 100, (37, 21), 1)
         .fill(Field::Mean, &[0.1, 0.0, 0.1])
         .fill(Field::LogScale, &[-1.5, -1.6, -1.2]);
     assert_forward(&mut raster, &scene, Channels::Material, 2e-5, "equal depths");
@@ -178,7 +178,7 @@ fn more_pairs_than_a_binding_holds_are_refused_with_sizes() {
 fn channels_and_buffers_not_matching_the_model_are_refused() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let scene = Scene::random(39, 10, (1, 1), 1);
+    let scene = RasterScene::random(39, 10, (1, 1), 1);
     let (camera, fitting) = (CameraUniform::new(&scene.view), scene.on_device(&gpu));
     let short = || gpu.buffer("short", 1).unwrap();
     let refused = |raster: &mut Raster, source: &AttributeSource, channels: Channels| {
@@ -194,7 +194,7 @@ fn channels_and_buffers_not_matching_the_model_are_refused() {
 }
 
 /// Splats, and Gaussians by depth.
-fn projected(raster: &mut Raster, scene: &Scene) -> (Buffer<SplatRecord>, Buffer<u32>) {
+fn projected(raster: &mut Raster, scene: &RasterScene) -> (Buffer<SplatRecord>, Buffer<u32>) {
     let gpu = raster.gpu.clone();
     let mut rec = gpu.record();
     let (camera, source) = (CameraUniform::new(&scene.view), scene.on_device(&gpu));
@@ -204,7 +204,12 @@ fn projected(raster: &mut Raster, scene: &Scene) -> (Buffer<SplatRecord>, Buffer
 }
 
 /// What `tile_emit` writes when the instances of every rank were miscounted by `off`: tiles and Gaussians.
-fn emitted(raster: &mut Raster, scene: &Scene, off: i32, room: usize) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
+fn emitted(
+    raster: &mut Raster,
+    scene: &RasterScene,
+    off: i32,
+    capacity: usize,
+) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
     let (gpu, n) = (raster.gpu.clone(), scene.gaussians.len());
     let (splat_buffer, order) = projected(raster, scene);
     let splats = gpu.read(&splat_buffer, 0..n).unwrap();
@@ -214,12 +219,13 @@ fn emitted(raster: &mut Raster, scene: &Scene, off: i32, room: usize) -> (Vec<u3
         first.push(first[first.len() - 1] + counted);
     }
     let starts = gpu.upload("first", &first).unwrap();
-    let (tiles, gaussians) = (gpu.buffer("tiles", room).unwrap(), gpu.buffer("gaussians", room).unwrap());
-    let most = (*first.last().unwrap()).min(room as u32 - 8);
+    let (tiles, gaussians) =
+        (gpu.buffer("tiles", capacity).unwrap(), gpu.buffer("gaussians", capacity).unwrap());
+    let most = (*first.last().unwrap()).min(capacity as u32 - 8);
     let mut rec = gpu.record();
     let bindings = [
         uniform(&CameraUniform::new(&scene.view)),
-        uniform(&Words([n as u32, most, 0, 0])),
+        uniform(&DispatchParams([n as u32, most, 0, 0])),
         (&splat_buffer).into(),
         (&order).into(),
         (&starts).into(),
@@ -228,7 +234,7 @@ fn emitted(raster: &mut Raster, scene: &Scene, off: i32, room: usize) -> (Vec<u3
     ];
     rec.dispatch(&shaders::TILE_EMIT, Groups::Linear(n), &bindings);
     rec.submit().unwrap();
-    (gpu.read(&tiles, 0..room).unwrap(), gpu.read(&gaussians, 0..room).unwrap(), first)
+    (gpu.read(&tiles, 0..capacity).unwrap(), gpu.read(&gaussians, 0..capacity).unwrap(), first)
 }
 
 #[test]
@@ -236,12 +242,12 @@ fn emitted(raster: &mut Raster, scene: &Scene, off: i32, room: usize) -> (Vec<u3
 fn wrong_tile_counts_cause_no_overflow_or_undefined_entries() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let scene = Scene::random(40, 60, (40, 40), 1);
+    let scene = RasterScene::random(40, 60, (40, 40), 1);
     let counts = counts(&scene.gpu(&mut raster, Channels::Colour, EarlyStop::WhenSaturated));
     let garbage = (-12345.0f32).to_bits();
-    for (off, room) in [(0, counts.instances + 8), (2, counts.instances + 200), (-1, 500), (2, 90)] {
-        let (tiles, gaussians, first) = emitted(&mut raster, &scene, off, room);
-        let end = (*first.last().unwrap() as usize).min(room - 8);
+    for (off, capacity) in [(0, counts.instances + 8), (2, counts.instances + 200), (-1, 500), (2, 90)] {
+        let (tiles, gaussians, first) = emitted(&mut raster, &scene, off, capacity);
+        let end = (*first.last().unwrap() as usize).min(capacity - 8);
         assert!(tiles[end..].iter().chain(&gaussians[end..]).all(|v| *v == garbage), "{off}: written past");
         assert!(tiles[..end].iter().all(|t| *t <= 9), "{off}: a tile that is none");
         assert!(gaussians[..end].iter().all(|g| *g < 60), "{off}");
@@ -255,7 +261,7 @@ fn wrong_tile_counts_cause_no_overflow_or_undefined_entries() {
 fn pair_count_carries_beyond_32_bits() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let scene = Scene::random(41, 300, (64, 48), 1);
+    let scene = RasterScene::random(41, 300, (64, 48), 1);
     let frame = scene.gpu(&mut raster, Channels::Colour, EarlyStop::WhenSaturated);
     let (counts, projected) = (counts(&frame), &frame.attributed.projected);
     let n = scene.gaussians.len();
@@ -285,10 +291,10 @@ fn pair_count_carries_beyond_32_bits() {
 fn list_memory_shrinks_only_after_many_small_views() {
     let mut raster = Raster::new(&Gpu::for_tests()).unwrap();
     let (large, small) = ([1 << 20, 0, 1 << 20, 0, 9], [30_000, 0, 30_000, 0, 9]);
-    raster.set_room(5 << 18);
-    let mut views = |listed: &[u32], count: usize| {
-        (0..count).for_each(|_| assert!(raster.settle(listed).unwrap()));
-        raster.room()
+    raster.set_capacity(5 << 18);
+    let mut views = |list_status: &[u32], count: usize| {
+        (0..count).for_each(|_| assert!(raster.apply_list_status(list_status).unwrap()));
+        raster.capacity()
     };
     for _ in 0..3 {
         assert_eq!(views(&small, 255), 5 << 18, "a large one may come");

@@ -12,7 +12,7 @@ use crate::DeviceError;
 use crate::RasterCamera;
 use crate::cpu::{AttributeSource as CpuSource, Pass};
 use crate::gpu::model::{LayoutUniform, planar};
-use crate::gpu::raster::records::Words;
+use crate::gpu::raster::records::DispatchParams;
 use crate::gpu::raster::{BlendEnd, Blended, GRADIENT_HEADER, RasterCounts, SplatRecord};
 use crate::gpu::shaders::assert_layout;
 use crate::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, Groups, Raster, groups, shaders, uniform};
@@ -22,7 +22,7 @@ use relume_layout::constants::{EarlyStop, TRANSMITTANCE_STOP};
 use relume_scene::{Camera, Field, Gaussians, IndirectForm, MAX_LIGHTS, NormalForm, ShadingOptions};
 
 /// A model, a camera and all that both engines need.
-pub(super) struct Scene {
+pub(super) struct RasterScene {
     pub(super) gaussians: Gaussians,
     pub(super) prototypes: Vec<[f32; 3]>,
     pub(super) gathered: Vec<[f32; 6]>,
@@ -32,12 +32,12 @@ pub(super) struct Scene {
     pub(super) view: RasterCamera,
 }
 
-impl Scene {
-    /// `n` random Gaussians in front of a camera of `size` pixels, with visibility order `order`.
-    pub(super) fn random(seed: u64, n: usize, size: (u32, u32), order: usize) -> Self {
+impl RasterScene {
+    /// `n` random Gaussians in front of a camera of `size` pixels, with visibility order `sh_degree`.
+    pub(super) fn random(seed: u64, n: usize, size: (u32, u32), sh_degree: usize) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut uniform = move |lo: f32, hi: f32| lo + (hi - lo) * rng.random::<f32>();
-        let mut gaussians = Gaussians::zeroed(n, 5, order, 2);
+        let mut gaussians = Gaussians::zeroed(n, 5, sh_degree, 2);
         let ranges = |field| match field {
             Field::Mean => (-1.0, 1.0),
             Field::LogScale => (-4.0, -1.8),
@@ -150,7 +150,7 @@ fn column<T: Copy>(rows: &[Vec<T>], c: usize) -> Vec<T> {
 ///
 /// Rounding may put alpha on the other side of its cut at 1/255: such a pixel is counted apart, and no pixel may
 /// differ by more than two such cuts.
-fn compare(scene: &Scene, pass: &Pass, got: &[Vec<f32>], tolerance: f64) -> (f64, usize) {
+fn compare(scene: &RasterScene, pass: &Pass, got: &[Vec<f32>], tolerance: f64) -> (f64, usize) {
     let (width, height) = (scene.view.width, scene.view.height);
     let stored = pass.channels.stored();
     let mut scale = vec![1e-6f32; stored];
@@ -176,7 +176,7 @@ fn compare(scene: &Scene, pass: &Pass, got: &[Vec<f32>], tolerance: f64) -> (f64
 }
 
 /// Asserts parity of the forward pass to `tolerance` in all but one in a thousand pixels.
-fn assert_forward(raster: &mut Raster, scene: &Scene, channels: Channels, tolerance: f64, name: &str) {
+fn assert_forward(raster: &mut Raster, scene: &RasterScene, channels: Channels, tolerance: f64, name: &str) {
     let gpu = raster.gpu.clone();
     let frame = scene.gpu(raster, channels, EarlyStop::Never);
     let pass = scene.cpu(channels, EarlyStop::Never);
@@ -206,7 +206,7 @@ fn host_and_shaders_agree_on_structs() {
         (&shaders::TILE_OFFSETS, "TileCounts"),
     ] {
         let layout = shader.layout(name).unwrap();
-        assert_eq!((layout.size, layout.members.len()), (size_of::<Words>(), 4), "{name}");
+        assert_eq!((layout.size, layout.members.len()), (size_of::<DispatchParams>(), 4), "{name}");
     }
 }
 
@@ -216,12 +216,12 @@ fn every_channel_set_blends_like_the_cpu() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for channels in [Channels::Colour, Channels::Geometry, Channels::Material] {
-        let scene = Scene::random(1, 300, (64, 48), 2);
+        let scene = RasterScene::random(1, 300, (64, 48), 2);
         assert_forward(&mut raster, &scene, channels, 2e-5, &format!("{channels:?}"));
     }
-    for order in 0..=6 {
-        let scene = Scene::random(2 + order as u64, 120, (37, 21), order);
-        let channels = Channels::Full((order + 1) * (order + 1));
+    for sh_degree in 0..=6 {
+        let scene = RasterScene::random(2 + sh_degree as u64, 120, (37, 21), sh_degree);
+        let channels = Channels::Full((sh_degree + 1) * (sh_degree + 1));
         assert_forward(&mut raster, &scene, channels, 2e-5, &format!("{channels:?}"));
     }
 }
@@ -236,7 +236,7 @@ fn every_shading_form_blends_like_the_cpu() {
             for low_pass_compensation in [false, true] {
                 let options =
                     ShadingOptions { indirect, normal, low_pass_compensation, ..ShadingOptions::default() };
-                let mut scene = Scene::random(11, 200, (48, 33), 1).with_options(options);
+                let mut scene = RasterScene::random(11, 200, (48, 33), 1).with_options(options);
                 let name = format!("{indirect:?} {normal:?} {low_pass_compensation}");
                 assert_forward(&mut raster, &scene, Channels::Full(4), 2e-5, &name);
                 scene.gathered.clear();
@@ -251,7 +251,7 @@ fn every_shading_form_blends_like_the_cpu() {
 fn the_comparison_notices_a_small_change() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let mut scene = Scene::random(1, 300, (64, 48), 2);
+    let mut scene = RasterScene::random(1, 300, (64, 48), 2);
     let pass = scene.cpu(Channels::Material, EarlyStop::Never);
     for (field, by) in [(Field::OpacityLogit, 1e-3), (Field::Mean, 1e-4), (Field::Residual, 1e-3)] {
         let kept = scene.gaussians.clone();

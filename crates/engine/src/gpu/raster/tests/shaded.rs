@@ -32,21 +32,21 @@ impl Found {
     }
 }
 
-struct Case {
-    scene: Scene,
-    order: usize,
+struct ShadedCase {
+    scene: RasterScene,
+    sh_degree: usize,
     tables: LightTables,
     /// Channels of both ways.
     channels: Channels,
 }
 
-impl Case {
-    fn new(seed: u64, order: usize, options: ShadingOptions, all: bool) -> Self {
+impl ShadedCase {
+    fn new(seed: u64, sh_degree: usize, options: ShadingOptions, all: bool) -> Self {
         // More than one workgroup, the last one not full.
-        let scene = Scene::random(seed, 300, (37, 21), order).with_options(options);
-        let tables = random_tables(&mut Noise::new(seed), order);
-        let channels = if all { Channels::Full(sh_count(order)) } else { Channels::Material };
-        Self { scene, order, tables, channels }
+        let scene = RasterScene::random(seed, 300, (37, 21), sh_degree).with_options(options);
+        let tables = random_tables(&mut Noise::new(seed), sh_degree);
+        let channels = if all { Channels::Full(sh_count(sh_degree)) } else { Channels::Material };
+        Self { scene, sh_degree, tables, channels }
     }
 
     /// A gradient of noise by every pixel's channels, `[pixel][stored]`.
@@ -62,7 +62,8 @@ impl Case {
     }
 
     fn on_cpu(&self, drawn: &[usize]) -> Found {
-        let shader = SurfaceShader { tables: &self.tables, options: &self.scene.options, order: self.order };
+        let shader =
+            SurfaceShader { tables: &self.tables, options: &self.scene.options, sh_degree: self.sh_degree };
         let source = self.scene.source().under(shader);
         let pass = Pass::forward(&source, self.scene.view, self.channels, EarlyStop::Never);
         let (count, stored) = (self.channels.count(), self.channels.stored());
@@ -90,7 +91,7 @@ impl Case {
         Shading {
             options: self.scene.options,
             background: [0.0; 3],
-            light: LightBuffers::upload(gpu, &self.tables, self.order, &[[0.0; 3]; 16]).unwrap(),
+            light: LightBuffers::upload(gpu, &self.tables, self.sh_degree, &[[0.0; 3]; 16]).unwrap(),
             constants: Constants::upload(gpu).unwrap(),
         }
     }
@@ -163,7 +164,7 @@ fn shading_at_gaussians_matches_the_cpu_for_every_form() {
         for diffuse in [DiffuseForm::Directional, DiffuseForm::AmbientOcclusion] {
             let options = ShadingOptions { visibility, diffuse, ..ShadingOptions::default() };
             for all in [false, true] {
-                let mut case = Case::new(3, 2, options, all);
+                let mut case = ShadedCase::new(3, 2, options, all);
                 assert_small(case.errors(&mut raster), &format!("{options:?} {all}"));
                 case.scene.gathered.clear();
                 assert_small(case.errors(&mut raster), &format!("{options:?} {all}, nothing gathered"));
@@ -172,12 +173,12 @@ fn shading_at_gaussians_matches_the_cpu_for_every_form() {
     }
     for indirect in [IndirectForm::Learned, IndirectForm::Off] {
         let options = ShadingOptions { indirect, ..ShadingOptions::default() };
-        assert_small(Case::new(5, 2, options, true).errors(&mut raster), &format!("{indirect:?}"));
+        assert_small(ShadedCase::new(5, 2, options, true).errors(&mut raster), &format!("{indirect:?}"));
     }
 }
 
 /// Three lights beside the tables, one from behind most of what is seen.
-fn with_lights(mut case: Case) -> Case {
+fn with_lights(mut case: ShadedCase) -> ShadedCase {
     let light = |direction: [f32; 3], radius, irradiance| {
         let direction = glam::Vec3::from(direction).normalize().to_array();
         TableLight { direction, radius, irradiance }
@@ -200,11 +201,11 @@ fn with_lights(mut case: Case) -> Case {
 fn shading_with_separate_lights_matches_the_cpu() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let plain = || Case::new(3, 2, ShadingOptions::default(), false);
+    let plain = || ShadedCase::new(3, 2, ShadingOptions::default(), false);
     for all in [false, true] {
         for indirect in [IndirectForm::Gathered, IndirectForm::Off] {
             let options = ShadingOptions { indirect, ..ShadingOptions::default() };
-            let case = with_lights(Case::new(3, 2, options, all));
+            let case = with_lights(ShadedCase::new(3, 2, options, all));
             assert_small(case.errors(&mut raster), &format!("lights {all} {indirect:?}"));
         }
     }
@@ -224,7 +225,7 @@ fn shading_with_separate_lights_matches_the_cpu() {
 fn colour_only_shading_equals_shading_with_all_rows() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let case = Case::new(9, 2, ShadingOptions::default(), false);
+    let case = ShadedCase::new(9, 2, ShadingOptions::default(), false);
     let (drawn, found) = case.on_gpu(&mut raster);
     let n = case.scene.gaussians.len();
     raster.colours = Some(gpu.upload("colours", &vec![[-7.0f32; 4]; n]).unwrap());
@@ -240,7 +241,7 @@ fn colour_only_shading_equals_shading_with_all_rows() {
     assert!(drawn.iter().all(|i| colours[*i][0] == 1.0));
     let others = (0..n).filter(|i| !drawn.contains(i));
     assert!(others.map(|i| colours[i]).all(|c| c == [-7.0; 4]), "what is not drawn is left alone");
-    let (_, other) = Case::new(10, 2, ShadingOptions::default(), false).on_gpu(&mut raster);
+    let (_, other) = ShadedCase::new(10, 2, ShadingOptions::default(), false).on_gpu(&mut raster);
     let common = light.len().min(other.radiance.len());
     let control = relative_error(&light[..common], &other.radiance[..common]);
     assert!(control > 1e-2, "the control: another scene");
@@ -251,11 +252,11 @@ fn colour_only_shading_equals_shading_with_all_rows() {
 fn shading_at_gaussians_matches_the_cpu_for_every_sh_degree() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    for order in [0, 1, 3, 4, 5, 6] {
+    for sh_degree in [0, 1, 3, 4, 5, 6] {
         // The largest kernels take a software device seconds to compile: one of the two ways back each.
-        for all in [false, true].into_iter().filter(|all| order < 5 || *all == (order == 6)) {
-            let case = Case::new(40 + order as u64, order, ShadingOptions::default(), all);
-            assert_small(case.errors(&mut raster), &format!("order {order} {all}"));
+        for all in [false, true].into_iter().filter(|all| sh_degree < 5 || *all == (sh_degree == 6)) {
+            let case = ShadedCase::new(40 + sh_degree as u64, sh_degree, ShadingOptions::default(), all);
+            assert_small(case.errors(&mut raster), &format!("order {sh_degree} {all}"));
         }
     }
 }
@@ -265,7 +266,7 @@ fn shading_at_gaussians_matches_the_cpu_for_every_sh_degree() {
 fn comparison_detects_changed_normals_and_gathered_light() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
-    let case = || Case::new(3, 2, ShadingOptions::default(), false);
+    let case = || ShadedCase::new(3, 2, ShadingOptions::default(), false);
     let (drawn, found) = case().on_gpu(&mut raster);
     let mut turned = case();
     turned.scene.gaussians.field_mut(Field::Normal).iter_mut().for_each(|v| *v += 0.05);
@@ -284,5 +285,8 @@ fn shading_without_float_atomics_matches_the_cpu() {
         crate::gpu::GpuOptions { compare_exchange: true, garbage: true, checks: true, ..Default::default() };
     let gpu = Gpu::with_options(options);
     let mut raster = Raster::new(&gpu).unwrap();
-    assert_small(Case::new(8, 1, ShadingOptions::default(), false).errors(&mut raster), "compare-exchange");
+    assert_small(
+        ShadedCase::new(8, 1, ShadingOptions::default(), false).errors(&mut raster),
+        "compare-exchange",
+    );
 }

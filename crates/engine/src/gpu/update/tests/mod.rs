@@ -44,7 +44,7 @@ impl Default for Shape {
 }
 
 /// A random model, a view of it, and the gradients that its picture leaves.
-struct Case {
+struct UpdateCase {
     model: Model,
     basis: [[f32; 3]; 16],
     view: RasterCamera,
@@ -124,7 +124,7 @@ fn source<'a>(model: &'a Model, basis: &'a [[f32; 3]; 16]) -> CpuSource<'a> {
     }
 }
 
-impl Case {
+impl UpdateCase {
     fn new(shape: &Shape, seed: u64, spoil: impl Fn(&mut Model)) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut model = random_model(shape, &mut rng);
@@ -216,12 +216,12 @@ struct OnDevice {
     globals_gradient: Buffer<f32>,
     losses: Buffer<f32>,
     density: Buffer<[f32; 2]>,
-    listed: Buffer<u32>,
+    list_status: Buffer<u32>,
     status: Buffer<u32>,
 }
 
 impl OnDevice {
-    fn new(gpu: &Gpu, case: &Case) -> Self {
+    fn new(gpu: &Gpu, case: &UpdateCase) -> Self {
         let model = ModelBuffers::upload(gpu, &case.model).unwrap();
         let n = case.model.gaussians.len();
         Self {
@@ -238,24 +238,24 @@ impl OnDevice {
             globals_gradient: gpu.upload("by globals", &vec![0.0f32; model.globals.len()]).unwrap(),
             losses: gpu.upload("losses", &[0.0f32; 16]).unwrap(),
             density: gpu.upload("density", &vec![[1.0f32, 2.0]; n]).unwrap(),
-            listed: gpu.upload("listed", &[0u32; 5]).unwrap(),
+            list_status: gpu.upload("listed", &[0u32; 5]).unwrap(),
             status: gpu.upload("status", &[0u32; STATUS_WORDS]).unwrap(),
             model,
         }
     }
 
-    fn sums(&self) -> Sums<'_> {
-        Sums {
+    fn sums(&self) -> UpdateSums<'_> {
+        UpdateSums {
             globals_gradient: &self.globals_gradient,
             losses: &self.losses,
             density: &self.density,
-            listed: &self.listed,
+            list_status: &self.list_status,
             status: &self.status,
         }
     }
 
     fn input(&self, terms: &ParameterWeights) -> StepInput<'_> {
-        let upstream = Upstream {
+        let upstream = UpstreamGradients {
             camera: &self.view,
             splats: &self.splats,
             gradients: &self.rows,

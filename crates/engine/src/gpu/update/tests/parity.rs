@@ -3,7 +3,7 @@
 use super::*;
 
 /// Worst relative error over the fields, and where.
-fn compare(case: &Case, got: &[f32]) -> (f64, &'static str) {
+fn compare(case: &UpdateCase, got: &[f32]) -> (f64, &'static str) {
     let g = &case.model.gaussians;
     let expected = planar_rows(g, &case.expected);
     let mut worst = (0.0, "none");
@@ -18,7 +18,7 @@ fn compare(case: &Case, got: &[f32]) -> (f64, &'static str) {
 }
 
 fn check(gpu: &Gpu, shape: &Shape, seed: u64) {
-    let case = Case::new(shape, seed, |_| ());
+    let case = UpdateCase::new(shape, seed, |_| ());
     let device = OnDevice::new(gpu, &case);
     let (got, by_globals) = device.gradients(&ParameterWeights::default());
     let (error, field) = compare(&case, &got);
@@ -103,7 +103,7 @@ fn gradient_comparison_detects_one_changed_input() {
     let gpu = Gpu::for_tests();
     let options = ShadingOptions { low_pass_compensation: true, ..Default::default() };
     let shape = Shape { options, ..Default::default() };
-    let changes: [fn(&mut Case); 5] = [
+    let changes: [fn(&mut UpdateCase); 5] = [
         |c| c.model.gaussians.field_mut(Field::Quaternion).iter_mut().for_each(|q| *q += 0.01),
         |c| c.model.gaussians.field_mut(Field::ProtoLogits).iter_mut().step_by(8).for_each(|s| *s += 0.01),
         |c| c.view.rotation[1][2] += 0.001,
@@ -111,7 +111,7 @@ fn gradient_comparison_detects_one_changed_input() {
         |c| c.model.shading.normal = NormalForm::Free,
     ];
     for (at, change) in changes.into_iter().enumerate() {
-        let mut case = Case::new(&shape, 9, |_| ());
+        let mut case = UpdateCase::new(&shape, 9, |_| ());
         change(&mut case);
         let (got, _) = OnDevice::new(&gpu, &case).gradients(&ParameterWeights::default());
         let (error, field) = compare(&case, &got);
@@ -134,7 +134,7 @@ fn invisible_non_finite_gaussians_do_not_affect_gradients() {
         }
     };
     let options = ShadingOptions { indirect: IndirectForm::Learned, ..Default::default() };
-    let case = Case::new(&Shape { options, ..Default::default() }, 11, spoil);
+    let case = UpdateCase::new(&Shape { options, ..Default::default() }, 11, spoil);
     // A quaternion that is not finite is the identity.
     assert!([2, 5, 7].iter().all(|i| !case.expected.visible[*i]));
     let device = OnDevice::new(&gpu, &case);
@@ -147,7 +147,7 @@ fn invisible_non_finite_gaussians_do_not_affect_gradients() {
 
 #[test]
 fn test_case_contains_clamped_and_invisible_gaussians() {
-    let case = Case::new(&Shape::default(), 1, |_| ());
+    let case = UpdateCase::new(&Shape::default(), 1, |_| ());
     let clamped = |i: usize| {
         let camera = case.view.to_camera(case.model.gaussians.get(Field::Mean, i));
         let outside = |k: usize| {
@@ -170,7 +170,7 @@ fn test_case_contains_clamped_and_invisible_gaussians() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn update_without_gaussians_gives_zero_gradients_and_losses() {
     let gpu = Gpu::for_tests();
-    let mut case = Case::new(&Shape::default(), 3, |_| ());
+    let mut case = UpdateCase::new(&Shape::default(), 3, |_| ());
     case.model.gaussians = Gaussians::zeroed(0, 8, 2, 2);
     let device = OnDevice::new(&gpu, &case);
     let (_, by_globals) = device.gradients(&ParameterWeights { aggregation: 1.0, ..Default::default() });

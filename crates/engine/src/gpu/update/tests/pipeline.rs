@@ -5,7 +5,7 @@ use crate::gpu::{AttributeSource, Raster};
 use relume_layout::constants::EarlyStop;
 
 /// `device` with the rasteriser's splats, gradients and labels in place of the CPU engine's.
-fn rasterised(gpu: &Gpu, case: &Case, channels: Channels) -> OnDevice {
+fn rasterised(gpu: &Gpu, case: &UpdateCase, channels: Channels) -> OnDevice {
     let mut device = OnDevice::new(gpu, case);
     let mut raster = Raster::new(gpu).unwrap();
     let source =
@@ -36,7 +36,7 @@ fn gradients_of_the_whole_gpu_pipeline_match_the_cpu_engine() {
                 ..Default::default()
             };
             let shape = Shape { channels, options, ..Default::default() };
-            let case = Case::new(&shape, seed, |_| ());
+            let case = UpdateCase::new(&shape, seed, |_| ());
             let device = rasterised(&gpu, &case, channels);
             let (got, by_globals) = device.gradients(&ParameterWeights::default());
             let g = &case.model.gaussians;
@@ -63,7 +63,7 @@ fn gradients_of_the_whole_gpu_pipeline_match_the_cpu_engine() {
 fn gradients_of_gpu_view_labels_match_the_cpu_engine() {
     let gpu = Gpu::for_tests();
     let shape = Shape::default();
-    let case = Case::new(&shape, 72, |_| ());
+    let case = UpdateCase::new(&shape, 72, |_| ());
     let mut device = rasterised(&gpu, &case, shape.channels);
     let terms = ParameterWeights { view_labels: 500.0, ..Default::default() };
     let without = device.gradients(&ParameterWeights::default()).0;

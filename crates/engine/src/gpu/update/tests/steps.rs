@@ -50,7 +50,7 @@ fn step_globals(device: &OnDevice, rates: &StepSizes, ages: StepCounts) {
 fn parameter_steps_match_adam_at_every_step_count_and_rate() {
     let gpu = Gpu::for_tests();
     let options = ShadingOptions { indirect: IndirectForm::Learned, ..Default::default() };
-    let case = Case::new(&Shape { options, ..Default::default() }, 21, |_| ());
+    let case = UpdateCase::new(&Shape { options, ..Default::default() }, 21, |_| ());
     let device = OnDevice::new(&gpu, &case);
     let g = &case.model.gaussians;
     let mut rates = rates();
@@ -89,7 +89,7 @@ fn parameter_steps_match_adam_at_every_step_count_and_rate() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn shared_parameters_use_the_material_step_count() {
     let gpu = Gpu::for_tests();
-    let case = Case::new(&Shape::default(), 22, |_| ());
+    let case = UpdateCase::new(&Shape::default(), 22, |_| ());
     let device = OnDevice::new(&gpu, &case);
     let n = device.model.globals.len();
     let gradient: Vec<f32> = (0..n).map(|i| (i as f32 * 1.3).sin()).collect();
@@ -120,7 +120,7 @@ fn shared_parameters_use_the_material_step_count() {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn non_finite_gradient_is_reported_and_changes_no_parameter() {
     let gpu = Gpu::for_tests();
-    let case = Case::new(&Shape::default(), 23, |_| ());
+    let case = UpdateCase::new(&Shape::default(), 23, |_| ());
     let seen = case.expected.visible.iter().position(|v| *v).unwrap();
     let ages = StepCounts { geometry: 1, material: 1 };
     for (poison, value) in [(true, f32::NAN), (true, f32::INFINITY), (false, 0.5)] {

@@ -4,8 +4,8 @@ use super::*;
 use relume_scene::light::sh_eval;
 
 /// A model nobody sees: the picture has no part in its gradients.
-fn unseen(shape: &Shape, seed: u64) -> Case {
-    let mut case = Case::new(shape, seed, |_| ());
+fn unseen(shape: &Shape, seed: u64) -> UpdateCase {
+    let mut case = UpdateCase::new(shape, seed, |_| ());
     case.records.iter_mut().for_each(|r| r.flags = 0);
     case
 }
@@ -121,13 +121,13 @@ fn label(raw: f64, p: f64, form: VisibilityForm) -> (f64, f64) {
 }
 
 /// A case whose picture has no gradient but whose splats are visible, and labels for it: four in five have weight.
-fn labelled(visibility: usize, form: VisibilityForm) -> (Case, Vec<[f32; 2]>) {
+fn labelled(visibility: usize, form: VisibilityForm) -> (UpdateCase, Vec<[f32; 2]>) {
     let options = ShadingOptions { visibility: form, ..Default::default() };
     let channels = Channels::Full((visibility + 1) * (visibility + 1));
     let shape = Shape { n: 300, visibility, options, channels, ..Default::default() };
     // Inside the interval of the clamp and beyond it on both sides.
     let spread = |m: &mut Model| m.gaussians.field_mut(Field::Visibility).iter_mut().for_each(|c| *c *= 4.0);
-    let mut case = Case::new(&shape, 60, spread);
+    let mut case = UpdateCase::new(&shape, 60, spread);
     case.rows.iter_mut().for_each(|v| *v *= 0.0);
     let mut rng = ChaCha8Rng::seed_from_u64(61);
     let mut one = |i: usize| {
@@ -141,7 +141,7 @@ fn labelled(visibility: usize, form: VisibilityForm) -> (Case, Vec<[f32; 2]>) {
 }
 
 /// Value of the label term with weight 0.7, its gradient, and how many labels hold instead of pulling.
-fn expected_pull(case: &Case, labels: &[[f32; 2]], form: VisibilityForm) -> (f64, Vec<f32>, usize) {
+fn expected_pull(case: &UpdateCase, labels: &[[f32; 2]], form: VisibilityForm) -> (f64, Vec<f32>, usize) {
     let g = &case.model.gaussians;
     let counted = labels.iter().filter(|l| l[1] > 1e-3).count();
     let (mut gradient, mut value, mut held) = (Vec::new(), 0.0, 0);
@@ -155,7 +155,7 @@ fn expected_pull(case: &Case, labels: &[[f32; 2]], form: VisibilityForm) -> (f64
         let to: [f64; 3] = std::array::from_fn(|k| f64::from(mean[k]) - f64::from(case.view.centre[k]));
         let length = to.iter().map(|v| v * v).sum::<f64>().sqrt();
         let mut y = [0.0f64; 49];
-        sh_eval(g.visibility_order(), to.map(|v| v / length), &mut y);
+        sh_eval(g.visibility_degree(), to.map(|v| v / length), &mut y);
         let raw = g.row(Field::Visibility, i).iter().zip(&y).map(|(c, y)| f64::from(*c) * y).sum::<f64>();
         let (loss, derivative) = label(raw, f64::from(l[0]) / f64::from(l[1]), form);
         let share = 0.7 / counted as f64;

@@ -9,7 +9,7 @@ use tokio::net::TcpStream;
 use tokio::task::JoinSet;
 
 use crate::cli::bench::service::args::{Load, ServiceArgs};
-use crate::cli::bench::service::subject::{Subject, photographs};
+use crate::cli::bench::service::fixture::{Fixture, photographs};
 use crate::cli::error::CommandResult;
 use relume_api::cameras::{CameraSpec, LookAtSpec};
 use relume_api::renders::RenderRequest;
@@ -49,7 +49,7 @@ const HALF_SENT: [&str; 3] = [
 ];
 
 /// A load that lasts until its end is asked for.
-pub(super) struct Pressed {
+pub(super) struct ActiveLoad {
     /// What it is, with its numbers.
     title: String,
     /// Clients that go on for ever.
@@ -58,10 +58,10 @@ pub(super) struct Pressed {
     training: Option<(Client, JobId)>,
 }
 
-impl Pressed {
+impl ActiveLoad {
     /// Begins a load; it is there when this returns.
-    pub(super) async fn begin(load: Load, subject: &Subject, args: &ServiceArgs) -> CommandResult<Self> {
-        let mut pressed = Self {
+    pub(super) async fn begin(load: Load, fixture: &Fixture, args: &ServiceArgs) -> CommandResult<Self> {
+        let mut active_load = Self {
             title: load.name().to_owned(),
             clients: JoinSet::new(),
             sockets: Vec::new(),
@@ -69,12 +69,12 @@ impl Pressed {
         };
         match load {
             Load::Idle => {}
-            Load::Training => pressed.training = Some(begin_training(subject).await?),
-            Load::Uploads => pressed.begin_uploads(subject, args).await?,
-            Load::Renders => pressed.begin_renders(subject, args),
-            Load::Sockets => pressed.begin_sockets(subject, args).await?,
+            Load::Training => active_load.training = Some(begin_training(fixture).await?),
+            Load::Uploads => active_load.begin_uploads(fixture, args).await?,
+            Load::Renders => active_load.begin_renders(fixture, args),
+            Load::Sockets => active_load.begin_sockets(fixture, args).await?,
         }
-        Ok(pressed)
+        Ok(active_load)
     }
 
     /// Ends it, and says what it was.
@@ -88,14 +88,14 @@ impl Pressed {
     }
 
     /// A client that has the same upload validated again and again.
-    async fn begin_uploads(&mut self, subject: &Subject, args: &ServiceArgs) -> CommandResult {
+    async fn begin_uploads(&mut self, fixture: &Fixture, args: &ServiceArgs) -> CommandResult {
         let (count, megapixels) = (args.photographs, args.megapixels);
         let archive = tokio::task::spawn_blocking(move || photographs(count, megapixels)).await??;
         let mebibytes = archive.len() >> 20;
         self.title = format!(
             "beside an upload of {count} JPEGs of {megapixels} megapixels, {mebibytes} MiB, being validated"
         );
-        let client = subject.client.clone();
+        let client = fixture.client.clone();
         self.clients.spawn(async move {
             loop {
                 if let Err(error) = client.validate_capture_bytes(archive.clone()).await {
@@ -108,14 +108,14 @@ impl Pressed {
     }
 
     /// Clients that ask for large frames, all at once, and go away before they have them.
-    fn begin_renders(&mut self, subject: &Subject, args: &ServiceArgs) {
+    fn begin_renders(&mut self, fixture: &Fixture, args: &ServiceArgs) {
         let (count, size) = (args.renders, args.render_size);
         self.title = format!(
             "beside bursts of {count} renders of {size} x {size} px, all outputs as EXR, whose clients go away after {} ms",
             GOES_AWAY_AFTER.as_millis()
         );
         for _ in 0..count {
-            let (client, model) = (subject.client.clone(), subject.model.clone());
+            let (client, model) = (fixture.client.clone(), fixture.model.clone());
             self.clients.spawn(async move {
                 loop {
                     let render = render(&client, &model, size);
@@ -130,11 +130,11 @@ impl Pressed {
     }
 
     /// Connections that have sent half a request and wait.
-    async fn begin_sockets(&mut self, subject: &Subject, args: &ServiceArgs) -> CommandResult {
+    async fn begin_sockets(&mut self, fixture: &Fixture, args: &ServiceArgs) -> CommandResult {
         let (files, _) = rlimit::getrlimit(rlimit::Resource::NOFILE)?;
         let most = usize::try_from(files).unwrap_or(usize::MAX).saturating_sub(OTHER_FILES) / 2;
         let wanted = args.sockets as usize;
-        let base = subject.client.base();
+        let base = fixture.client.base();
         let address = base.socket_addrs(|| None)?.into_iter().next().ok_or("the server has no address")?;
         for i in 0..wanted.min(most) {
             let mut stream = TcpStream::connect(address).await?;
@@ -152,9 +152,9 @@ impl Pressed {
 }
 
 /// Queues a training without an end and waits until it takes steps.
-async fn begin_training(subject: &Subject) -> CommandResult<(Client, JobId)> {
-    let client = subject.client.clone();
-    let job = client.create_job(&subject.job(ENDLESS), None).await?.id;
+async fn begin_training(fixture: &Fixture) -> CommandResult<(Client, JobId)> {
+    let client = fixture.client.clone();
+    let job = client.create_job(&fixture.job(ENDLESS), None).await?.id;
     let begins = async {
         loop {
             let view = client.job(&job).await?;

@@ -20,14 +20,14 @@ use relume_spec::training::{Preset, TrainOverrides};
 const SIDE: u32 = 64;
 
 /// A model of the service, and how it was trained.
-pub(super) struct Subject {
+pub(super) struct Fixture {
     pub(super) client: Client,
     pub(super) capture: CaptureId,
     pub(super) model: ModelId,
     gaussians: u32,
 }
 
-impl Subject {
+impl Fixture {
     /// Uploads the synthetic capture and trains on it.
     pub(super) async fn train(client: Client, args: &ServiceArgs) -> CommandResult<Self> {
         let options =

@@ -6,26 +6,26 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use crate::formats::image_file;
-use crate::{CaptureError, ImportLimits, Source, import, masks};
+use crate::{CaptureError, CaptureFiles, ImportLimits, import, masks};
 
 /// Endings of photographs that COLMAP reads.
 const ENDINGS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "webp"];
 
 /// The photographs of a folder or an archive that states no poses.
 #[derive(Debug)]
-pub struct Unposed {
-    source: Source,
+pub struct PhotosWithoutPoses {
+    source: CaptureFiles,
     /// Photographs, each with its mask.
     photos: BTreeMap<String, Option<String>>,
 }
 
-impl Unposed {
+impl PhotosWithoutPoses {
     /// Opens a folder, zip, tar or tar.gz. `None` where a layout with poses is there, or no photograph.
     ///
     /// # Errors
     /// [`CaptureError`] when it cannot be opened or is over a limit.
     pub fn open(path: &Path, limits: &ImportLimits) -> Result<Option<Self>, CaptureError> {
-        let source = Source::open(path, limits)?;
+        let source = CaptureFiles::open(path, limits)?;
         Ok(if import::has_layout(&source) { None } else { Self::of(source) })
     }
 
@@ -34,10 +34,10 @@ impl Unposed {
     /// # Errors
     /// As [`Self::open`].
     pub fn ignoring_poses(path: &Path, limits: &ImportLimits) -> Result<Option<Self>, CaptureError> {
-        Ok(Self::of(Source::open(path, limits)?))
+        Ok(Self::of(CaptureFiles::open(path, limits)?))
     }
 
-    fn of(source: Source) -> Option<Self> {
+    fn of(source: CaptureFiles) -> Option<Self> {
         let is_photo = |path: &&str| is_photograph(path) && !is_mask(&source, path);
         let photos: BTreeMap<_, _> = source
             .paths()
@@ -86,7 +86,7 @@ fn is_photograph(path: &str) -> bool {
 }
 
 /// True for files of `masks/` and for `NAME_mask.png` beside a photograph called so.
-fn is_mask(source: &Source, path: &str) -> bool {
+fn is_mask(source: &CaptureFiles, path: &str) -> bool {
     let in_folder = path.split('/').rev().skip(1).any(|folder| folder == "masks" || folder == "mask");
     let of = masks::stem(path).strip_suffix("_mask");
     let has_photo = |stem: &str| {
@@ -110,7 +110,7 @@ mod tests {
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();
             std::fs::write(path, b"x").unwrap();
         }
-        let found = Unposed::open(folder.path(), &ImportLimits::default()).unwrap()?;
+        let found = PhotosWithoutPoses::open(folder.path(), &ImportLimits::default()).unwrap()?;
         let masks = found.masks().map(|(mask, of)| (mask.to_owned(), of.to_owned())).collect();
         Some((found.photos().map(str::to_owned).collect(), masks))
     }

@@ -11,19 +11,19 @@ use bytemuck::Pod;
 
 use crate::DeviceError;
 use crate::gpu::buffer::Buffer;
-use crate::gpu::device::{Gpu, PATIENCE};
+use crate::gpu::device::{DEVICE_TIMEOUT_S, Gpu};
 use crate::gpu::lock::locked;
 
 /// Bytes of staging buffers kept for later fetches.
-const KEPT: u64 = 256 << 20;
+const MAX_POOLED_BYTES: u64 = 256 << 20;
 /// Bytes of the smallest staging buffer.
-const LEAST_STAGING: u64 = 4096;
+const MIN_STAGING_BYTES: u64 = 4096;
 /// Where a range may start in a staging buffer, bytes.
 const ALIGNMENT: u64 = 16;
 
 /// A claim to a range of a buffer that a submission brings back.
 #[derive(Debug)]
-pub struct Ticket<T> {
+pub struct ReadbackTicket<T> {
     /// First byte in the staging buffer.
     start: usize,
     len: usize,
@@ -32,17 +32,17 @@ pub struct Ticket<T> {
 
 /// Copies that end a recording.
 #[derive(Default)]
-pub(super) struct Fetches {
+pub(super) struct ReadbackCopies {
     copies: Vec<(wgpu::Buffer, Range<u64>, u64)>,
     bytes: u64,
 }
 
-impl Fetches {
+impl ReadbackCopies {
     /// Adds elements of a buffer; what would lie beyond its end is left out.
-    pub(super) fn add<T>(&mut self, buffer: &Buffer<T>, range: Range<usize>) -> Ticket<T> {
+    pub(super) fn add<T>(&mut self, buffer: &Buffer<T>, range: Range<usize>) -> ReadbackTicket<T> {
         let range = range.start.min(buffer.len())..range.end.min(buffer.len());
         if range.is_empty() {
-            return Ticket { start: 0, len: 0, element: PhantomData };
+            return ReadbackTicket { start: 0, len: 0, element: PhantomData };
         }
         let (first, end) = (range.start * size_of::<T>(), range.end * size_of::<T>());
         // Copies are in units of four bytes.
@@ -50,7 +50,7 @@ impl Fetches {
         let at = self.bytes.next_multiple_of(ALIGNMENT);
         self.bytes = at + copied.end - copied.start;
         self.copies.push((buffer.raw().clone(), copied, at));
-        Ticket { start: at as usize + first % 4, len: range.len(), element: PhantomData }
+        ReadbackTicket { start: at as usize + first % 4, len: range.len(), element: PhantomData }
     }
 
     /// Records the copies; gives the staging buffer they go to, if there are any.
@@ -112,7 +112,7 @@ impl Submission {
     /// As [`Gpu::wait`].
     pub fn wait(&self) -> Result<(), DeviceError> {
         self.gpu.wait_for(Some(self.index.clone()))?;
-        self.gpu.inner.tally.completed.fetch_max(self.number, Ordering::Relaxed);
+        self.gpu.inner.counters.completed.fetch_max(self.number, Ordering::Relaxed);
         Ok(())
     }
 
@@ -120,32 +120,32 @@ impl Submission {
     ///
     /// # Errors
     /// Whatever went wrong on the device meanwhile.
-    pub fn arrive(self) -> Result<Arrival, DeviceError> {
+    pub fn wait_for_data(self) -> Result<ReadbackData, DeviceError> {
         self.wait()?;
         let gpu = self.gpu;
-        let Some((staging, mapped)) = self.fetched else { return Ok(Arrival { gpu, staging: None }) };
+        let Some((staging, mapped)) = self.fetched else { return Ok(ReadbackData { gpu, staging: None }) };
         // The callback may run in another thread that waits too, a moment after this one's wait is over.
-        match mapped.recv_timeout(Duration::from_secs(PATIENCE)) {
-            Ok(Ok(())) => Ok(Arrival { gpu, staging: Some(staging) }),
+        match mapped.recv_timeout(Duration::from_secs(DEVICE_TIMEOUT_S)) {
+            Ok(Ok(())) => Ok(ReadbackData { gpu, staging: Some(staging) }),
             other => Err(gpu.failure(format!("a buffer could not be read: {other:?}"))),
         }
     }
 }
 
 /// What a submission brought back, in memory that the device wrote.
-pub struct Arrival {
+pub struct ReadbackData {
     gpu: Gpu,
     staging: Option<Staging>,
 }
 
-impl Arrival {
+impl ReadbackData {
     /// Shows the elements of a ticket of this submission to `look`.
     ///
     /// # Errors
     /// Whatever went wrong on the device meanwhile.
     pub fn with<T: Pod, R>(
         &self,
-        ticket: &Ticket<T>,
+        ticket: &ReadbackTicket<T>,
         look: impl FnOnce(&[T]) -> R,
     ) -> Result<R, DeviceError> {
         let Some(staging) = self.staging.as_ref().filter(|_| ticket.len > 0) else { return Ok(look(&[])) };
@@ -164,19 +164,19 @@ impl Arrival {
     ///
     /// # Errors
     /// As [`Self::with`].
-    pub fn read<T: Pod>(&self, ticket: &Ticket<T>) -> Result<Vec<T>, DeviceError> {
+    pub fn read<T: Pod>(&self, ticket: &ReadbackTicket<T>) -> Result<Vec<T>, DeviceError> {
         self.with(ticket, <[T]>::to_vec)
     }
 }
 
-impl Drop for Arrival {
+impl Drop for ReadbackData {
     fn drop(&mut self) {
         let Some(staging) = self.staging.take() else { return };
         staging.buffer.unmap();
         let mut kept = locked(&self.gpu.inner.staging);
         kept.push(staging.buffer);
         // Those that were used longest ago make room.
-        while kept.iter().map(wgpu::Buffer::size).sum::<u64>() > KEPT {
+        while kept.iter().map(wgpu::Buffer::size).sum::<u64>() > MAX_POOLED_BYTES {
             kept.remove(0);
         }
     }
@@ -184,9 +184,9 @@ impl Drop for Arrival {
 
 /// Keeps a thread's work close to the device: of what went through it, two submissions at most are not done.
 #[derive(Default)]
-pub struct Pace(Option<Submission>);
+pub struct InFlightLimit(Option<Submission>);
 
-impl Pace {
+impl InFlightLimit {
     /// Waits for the submission before this one.
     ///
     /// # Errors
@@ -219,7 +219,7 @@ impl Gpu {
         if ticket.len == 0 {
             return Ok(Vec::new());
         }
-        recorder.submit()?.arrive()?.read(&ticket)
+        recorder.submit()?.wait_for_data()?.read(&ticket)
     }
 
     /// The smallest of the kept staging buffers that is large enough, or a new one.
@@ -237,7 +237,7 @@ impl Gpu {
         let scope = self.inner.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let buffer = self.inner.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("staging"),
-            size: bytes.next_power_of_two().max(LEAST_STAGING).min(most),
+            size: bytes.next_power_of_two().max(MIN_STAGING_BYTES).min(most),
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });

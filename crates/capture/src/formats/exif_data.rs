@@ -6,7 +6,7 @@ use exif::{Exif, In, Reader, Tag, Value};
 
 /// What a camera notes in a photograph, as far as it does.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct ExifFacts {
+pub struct ExifData {
     /// Model of the camera.
     pub camera: Option<String>,
     /// Exposure time, seconds.
@@ -23,7 +23,7 @@ pub struct ExifFacts {
     pub orientation: Option<u8>,
 }
 
-impl ExifFacts {
+impl ExifData {
     /// How bright the camera's settings make a scene, stops: equal settings, equal numbers.
     pub fn exposure_ev(&self) -> Option<f64> {
         let (time, f_number) = (self.exposure_s?, self.f_number?);
@@ -33,12 +33,12 @@ impl ExifFacts {
 }
 
 /// What a JPEG, PNG, WebP or TIFF notes; nothing where there is nothing, or nothing that can be read.
-pub fn read(bytes: &[u8]) -> ExifFacts {
+pub fn read(bytes: &[u8]) -> ExifData {
     let Ok(exif) = Reader::new().read_from_container(&mut Cursor::new(bytes)) else {
-        return ExifFacts::default();
+        return ExifData::default();
     };
     let integer = |tag| exif.get_field(tag, In::PRIMARY)?.value.get_uint(0);
-    ExifFacts {
+    ExifData {
         camera: text(&exif, Tag::Model),
         exposure_s: number(&exif, Tag::ExposureTime),
         f_number: number(&exif, Tag::FNumber),
@@ -125,7 +125,7 @@ mod tests {
         assert_eq!((facts.camera.as_deref(), facts.orientation), (Some("Phone 9"), Some(6)));
         assert!((facts.exposure_s.unwrap() - 0.008).abs() < 1e-12);
         assert_eq!((facts.iso, facts.auto_white_balance, facts.focal_mm), (Some(200.0), Some(true), None));
-        let twice = ExifFacts { exposure_s: Some(0.016), ..facts.clone() };
+        let twice = ExifData { exposure_s: Some(0.016), ..facts.clone() };
         assert!((twice.exposure_ev().unwrap() - facts.exposure_ev().unwrap() - 1.0).abs() < 1e-9, "a stop");
     }
 
@@ -135,9 +135,9 @@ mod tests {
         assert_eq!(read(&whole).orientation, Some(6));
         for length in 0..whole.len() {
             let cut = read(&whole[..length]);
-            assert!(cut == ExifFacts::default() || cut == read(&whole), "{length}: {cut:?}");
+            assert!(cut == ExifData::default() || cut == read(&whole), "{length}: {cut:?}");
         }
-        assert_eq!(read(&whole[..20]), ExifFacts::default());
+        assert_eq!(read(&whole[..20]), ExifData::default());
         assert_eq!(read(&jpeg(&[(0x0112, 3, 1, vec![9, 0])], &[])).orientation, None, "no turn");
         assert_eq!(read(&jpeg(&[], &[(0x829a, 5, 1, rational(1, 0))])).exposure_s, None, "no number");
     }

@@ -6,13 +6,13 @@ use std::f64::consts::TAU;
 /// How far the columns of an environment move when it turns: a texel of the turned map is the mean of two neighbours of
 /// the map as it was, `(1 - fraction) L[x + whole] + fraction L[x + whole + 1]`, columns counted round.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ColumnTurn {
+pub struct ColumnShift {
     width: usize,
     whole: usize,
     fraction: f32,
 }
 
-impl ColumnTurn {
+impl ColumnShift {
     /// The turn of maps of `width` columns by `radians` counter-clockwise, seen from above.
     pub fn new(radians: f64, width: usize) -> Self {
         let columns = (radians / TAU).rem_euclid(1.0) * width as f64;
@@ -72,7 +72,7 @@ mod tests {
     fn column_rotation_matches_the_sampled_rotated_environment() {
         let map = map();
         for degrees in [0.0, 22.5, 90.0, 120.0, -75.0, 360.0, 1000.0f64] {
-            let turned = ColumnTurn::new(degrees.to_radians(), 16).apply(map.texels()).into_owned();
+            let turned = ColumnShift::new(degrees.to_radians(), 16).apply(map.texels()).into_owned();
             let sampled = |degrees: f64| -> Vec<[f32; 3]> {
                 let back = glam::DQuat::from_rotation_z(-degrees.to_radians());
                 texel_directions(16, 8).into_iter().map(|(d, _)| map.sample(back * d)).collect()
@@ -86,12 +86,12 @@ mod tests {
     #[test]
     fn rotation_by_whole_columns_shifts_each_row_exactly() {
         let map = map();
-        let turned = ColumnTurn::new(TAU * 3.0 / 16.0, 16).apply(map.texels()).into_owned();
+        let turned = ColumnShift::new(TAU * 3.0 / 16.0, 16).apply(map.texels()).into_owned();
         let mut rolled = map.texels().to_vec();
         rolled.chunks_exact_mut(16).for_each(|row| row.rotate_left(3));
         assert_eq!(turned, rolled);
         assert_ne!(turned, map.texels());
-        assert!(matches!(ColumnTurn::new(TAU, 16).apply(map.texels()), Cow::Borrowed(_)));
+        assert!(matches!(ColumnShift::new(TAU, 16).apply(map.texels()), Cow::Borrowed(_)));
     }
 
     #[test]
@@ -104,7 +104,7 @@ mod tests {
             pairs.map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
         };
         for columns in [0.25, 3.0, 10.7] {
-            let turn = ColumnTurn::new(TAU * columns / 16.0, 16);
+            let turn = ColumnShift::new(TAU * columns / 16.0, 16);
             let forward = dot(&turn.apply(map.texels()), &probe);
             let back = dot(map.texels(), &turn.apply_transposed(&probe));
             assert!((forward - back).abs() < 1e-3, "{forward} {back}");

@@ -3,11 +3,11 @@
 
 use glam::{DQuat, DVec3, Vec3};
 
-use crate::formats::splats::{MOST_DEGREE, Splats};
+use crate::formats::splats::{MAX_SPLAT_SH_DEGREE, Splats};
 use relume_scene::light::sh_eval;
 use relume_scene::sh_count;
 
-const COUNT: usize = sh_count(MOST_DEGREE);
+const COUNT: usize = sh_count(MAX_SPLAT_SH_DEGREE);
 /// Nodes and weights of the Gauss-Legendre rule of four points, exact up to degree 7.
 const HEIGHTS: [(f64, f64); 4] = [
     (-0.861_136_311_594_052_6, 0.347_854_845_137_453_85),
@@ -27,7 +27,7 @@ impl Splats {
         self.positions.iter_mut().for_each(turned);
         self.normals.iter_mut().for_each(turned);
         self.rotations.iter_mut().for_each(|q| *q = (turn * *q).normalize());
-        let (matrix, count) = (harmonics_of_turn(turn), sh_count(self.degree));
+        let (matrix, count) = (sh_rotation_matrix(turn), sh_count(self.degree));
         for row in self.harmonics.chunks_exact_mut(count) {
             let before: Vec<[f32; 3]> = row.to_vec();
             for (out, weights) in row.iter_mut().zip(&matrix) {
@@ -40,8 +40,8 @@ impl Splats {
     }
 }
 
-/// `M[j][k] = int Y_j(w) Y_k(turn^-1 w) dw`: coefficients after the turn from those before, up to [`MOST_DEGREE`].
-fn harmonics_of_turn(turn: DQuat) -> [[f64; COUNT]; COUNT] {
+/// `M[j][k] = int Y_j(w) Y_k(turn^-1 w) dw`: coefficients after the turn from those before, up to [`MAX_SPLAT_SH_DEGREE`].
+fn sh_rotation_matrix(turn: DQuat) -> [[f64; COUNT]; COUNT] {
     let mut out = [[0.0; COUNT]; COUNT];
     for (z, weight) in HEIGHTS {
         for step in 0..ROUND {
@@ -49,8 +49,8 @@ fn harmonics_of_turn(turn: DQuat) -> [[f64; COUNT]; COUNT] {
             let r = (1.0 - z * z).sqrt();
             let direction = DVec3::new(r * cos, r * sin, z);
             let (mut after, mut before) = ([0.0; COUNT], [0.0; COUNT]);
-            sh_eval(MOST_DEGREE, direction.to_array(), &mut after);
-            sh_eval(MOST_DEGREE, (turn.inverse() * direction).to_array(), &mut before);
+            sh_eval(MAX_SPLAT_SH_DEGREE, direction.to_array(), &mut after);
+            sh_eval(MAX_SPLAT_SH_DEGREE, (turn.inverse() * direction).to_array(), &mut before);
             let area = weight * std::f64::consts::TAU / ROUND as f64;
             for (row, a) in out.iter_mut().zip(after) {
                 row.iter_mut().zip(before).for_each(|(o, b)| *o += area * a * b);

@@ -4,7 +4,7 @@ use relume_scene::SplitLight;
 
 /// A light and the evidence for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FoundLight {
+pub struct DetectedLight {
     /// Where it is and how wide.
     pub light: SplitLight,
     /// Irradiance of a surface turned to it over that of an open one under the sky, by channel.

@@ -11,7 +11,7 @@ use relume_spec::training::ComplexitySetting;
 
 /// What the photographs show.
 #[derive(Debug, Clone)]
-pub struct Shown {
+pub struct PhotoEvidence {
     /// Mean blending weight of each Gaussian, pixels.
     pub weights: Vec<f32>,
     /// Mean share of the silhouettes' convex hulls that is empty; `None` without masks.
@@ -22,22 +22,23 @@ pub struct Shown {
 pub fn decide(
     complexity: &mut ComplexityState,
     context: &DecisionContext<'_>,
-    shown: &Shown,
+    photo_evidence: &PhotoEvidence,
     state: &mut TrainState,
 ) {
     let g = &state.model.gaussians;
-    let order = g.visibility_order();
+    let sh_degree = g.visibility_degree();
     let errors = (!state.labels.is_empty()).then(|| {
-        let open = evidence::open_directions(&state.labels, order);
-        evidence::visibility(&state.labels, order, &open, &shown.weights)
+        let open = evidence::open_directions(&state.labels, sh_degree);
+        evidence::visibility(&state.labels, sh_degree, &open, &photo_evidence.weights)
     });
     let convexity =
-        errors.as_ref().map_or(Convexity::Unproven, |e| decide::convexity(shown.concavity, e.off));
-    let residuals = evidence::radiance_residuals(g, &shown.weights);
-    let is_gathered = decide_indirect(complexity, context, shown, convexity, state);
-    let visibility = decide_visibility(complexity, context, shown, errors, (convexity, is_gathered), state);
+        errors.as_ref().map_or(Convexity::Unproven, |e| decide::convexity(photo_evidence.concavity, e.off));
+    let residuals = evidence::radiance_residuals(g, &photo_evidence.weights);
+    let is_gathered = decide_indirect(complexity, context, photo_evidence, convexity, state);
+    let visibility =
+        decide_visibility(complexity, context, photo_evidence, errors, (convexity, is_gathered), state);
     let radiance = decide_radiance(complexity, context, &residuals);
-    apply::cut_orders(state, visibility, radiance);
+    apply::cut_degrees(state, visibility, radiance);
 }
 
 /// The degree of the radiance branch, from what each degree loses; `residuals` has one more value than that degree.
@@ -48,33 +49,33 @@ fn decide_radiance(
 ) -> usize {
     let old = residuals.len() - 1;
     if context.is_forced(ComplexitySetting::Radiance) {
-        complexity.note_forced(ComplexitySetting::Radiance, context.steps, format!("degree {old}"));
+        complexity.record_forced_value(ComplexitySetting::Radiance, context.steps, format!("degree {old}"));
         return old;
     }
-    let degree = decide::radiance_order(residuals);
+    let degree = decide::radiance_degree(residuals);
     let figures = [
         ("lost_rms", residuals[degree]),
         ("lost_rms_one_less", residuals[degree.saturating_sub(1)]),
         ("tolerance", decide::RADIANCE_TOLERANCE),
     ];
     let (was, is) = (format!("degree {old}"), format!("degree {degree}"));
-    complexity.note(ComplexitySetting::Radiance, context.steps, was, is, &figures);
+    complexity.record_decision(ComplexitySetting::Radiance, context.steps, was, is, &figures);
     degree
 }
 
 fn decide_visibility(
     complexity: &mut ComplexityState,
     context: &DecisionContext<'_>,
-    shown: &Shown,
+    photo_evidence: &PhotoEvidence,
     errors: Option<evidence::VisibilityErrors>,
     (convexity, is_gathered): (Convexity, bool),
     state: &TrainState,
 ) -> RequiredVisibility {
     let is_off = state.model.shading.visibility == VisibilityForm::Off;
-    let old = state.model.gaussians.visibility_order();
-    let configured = if is_off { RequiredVisibility::Off } else { RequiredVisibility::Order(old) };
+    let old = state.model.gaussians.visibility_degree();
+    let configured = if is_off { RequiredVisibility::Off } else { RequiredVisibility::Degree(old) };
     if context.is_forced(ComplexitySetting::Visibility) {
-        complexity.note_forced(ComplexitySetting::Visibility, context.steps, configured.to_string());
+        complexity.record_forced_value(ComplexitySetting::Visibility, context.steps, configured.to_string());
         return configured;
     }
     let Some(errors) = errors.filter(|_| !is_off) else { return configured };
@@ -84,16 +85,16 @@ fn decide_visibility(
         ("tolerance_off", decide::OFF_TOLERANCE),
         ("tolerance_concavity", decide::CONVEX_TOLERANCE),
     ];
-    figures.extend(shown.concavity.map(|c| ("concavity", c)));
-    if let RequiredVisibility::Order(order) = required {
-        figures.push(("ao_error", errors.ambient[order]));
+    figures.extend(photo_evidence.concavity.map(|c| ("concavity", c)));
+    if let RequiredVisibility::Degree(sh_degree) = required {
+        figures.push(("ao_error", errors.ambient[sh_degree]));
         figures.push(("tolerance_ao", decide::AMBIENT_TOLERANCE));
-        figures.push(("field_error", errors.field[order]));
-        figures.push(("field_error_one_less", errors.field[order.saturating_sub(1)]));
+        figures.push(("field_error", errors.field[sh_degree]));
+        figures.push(("field_error_one_less", errors.field[sh_degree.saturating_sub(1)]));
         figures.push(("tolerance_field", decide::FIELD_TOLERANCE));
     }
     let (was, is) = (configured.to_string(), required.to_string());
-    complexity.note(ComplexitySetting::Visibility, context.steps, was, is, &figures);
+    complexity.record_decision(ComplexitySetting::Visibility, context.steps, was, is, &figures);
     required
 }
 
@@ -101,25 +102,25 @@ fn decide_visibility(
 fn decide_indirect(
     complexity: &mut ComplexityState,
     context: &DecisionContext<'_>,
-    shown: &Shown,
+    photo_evidence: &PhotoEvidence,
     convexity: Convexity,
     state: &mut TrainState,
 ) -> bool {
     let is_gathered = state.model.shading.indirect == IndirectForm::Gathered && context.config().bounces > 0;
     if context.is_forced(ComplexitySetting::Indirect) {
         let value = if is_gathered { "gathered" } else { "as configured" };
-        complexity.note_forced(ComplexitySetting::Indirect, context.steps, value.to_owned());
+        complexity.record_forced_value(ComplexitySetting::Indirect, context.steps, value.to_owned());
         return is_gathered;
     }
     if !is_gathered || state.gathered.is_empty() {
         return is_gathered;
     }
     let whole = context.step.operators.with_lights(&LightSplit::default());
-    let tables = evaluation::mean_tables(state, &whole, context.step.turns);
-    let gathered = evaluation::mean_gathered(state, context.step.turns);
+    let tables = evaluation::mean_tables(state, &whole, context.step.rotations);
+    let gathered = evaluation::mean_gathered(state, context.step.rotations);
     let field = state.model.gaussians.field(Field::Visibility);
     let normals = evaluation::normals(state);
-    let share = evidence::indirect_share(&gathered, field, &normals, &tables, &shown.weights);
+    let share = evidence::indirect_share(&gathered, field, &normals, &tables, &photo_evidence.weights);
     let is_convex = convexity == Convexity::Convex;
     let stays = !is_convex && share > decide::INDIRECT_TOLERANCE;
     let figures = [
@@ -128,7 +129,7 @@ fn decide_indirect(
         ("is_convex", f32::from(u8::from(is_convex))),
     ];
     let (was, is) = ("gathered".to_owned(), if stays { "gathered" } else { "off" }.to_owned());
-    complexity.note(ComplexitySetting::Indirect, context.steps, was, is, &figures);
+    complexity.record_decision(ComplexitySetting::Indirect, context.steps, was, is, &figures);
     if !stays {
         apply::drop_indirect(state);
     }

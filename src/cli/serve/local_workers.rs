@@ -5,7 +5,7 @@ use relume_engine::{AdapterReport, DeviceChoice, adapters};
 
 /// Options about what trains in a server.
 #[derive(Debug, clap::Args)]
-pub(super) struct CrewArgs {
+pub(super) struct LocalWorkerArgs {
     /// Train nothing here: workers elsewhere do (`relume worker`).
     #[arg(long, env = "RELUME_NO_WORKER", conflicts_with = "devices")]
     no_worker: bool,
@@ -22,7 +22,7 @@ pub(super) struct CrewArgs {
     worker_labels: Vec<String>,
 }
 
-impl CrewArgs {
+impl LocalWorkerArgs {
     /// Says so to a server.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 /// Running counts of a device.
 #[derive(Debug, Default)]
-pub(super) struct Tally {
+pub(super) struct DeviceCounters {
     /// Dispatches of kernels.
     pub(super) dispatches: AtomicU64,
     /// Submissions.
@@ -13,7 +13,7 @@ pub(super) struct Tally {
     /// The last submission that is known to be done.
     pub(super) completed: AtomicU64,
     /// Most submissions that were not known to be done.
-    most_ahead: AtomicU64,
+    max_in_flight: AtomicU64,
     /// Waits for the device, and nanoseconds spent in them.
     waits: AtomicU64,
     waited_ns: AtomicU64,
@@ -23,7 +23,7 @@ pub(super) struct Tally {
 
 /// What a device was asked for since it was opened; differences of two of them tell what lies between.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Counts {
+pub struct DeviceCounts {
     /// Dispatches of kernels.
     pub dispatches: u64,
     /// Submissions of recorded work.
@@ -36,14 +36,14 @@ pub struct Counts {
     pub submitting: Duration,
 }
 
-impl Tally {
+impl DeviceCounters {
     /// Counts a submission with its dispatches, that took so long to hand over; gives its number, from 1.
     pub(super) fn submit(&self, dispatches: u32, time: Duration) -> u64 {
         self.submitting_ns.fetch_add(time.as_nanos() as u64, Ordering::Relaxed);
         self.dispatches.fetch_add(u64::from(dispatches), Ordering::Relaxed);
         let number = self.submitted.fetch_add(1, Ordering::Relaxed) + 1;
         let ahead = number.saturating_sub(self.completed.load(Ordering::Relaxed));
-        self.most_ahead.fetch_max(ahead, Ordering::Relaxed);
+        self.max_in_flight.fetch_max(ahead, Ordering::Relaxed);
         number
     }
 
@@ -52,9 +52,9 @@ impl Tally {
         self.waited_ns.fetch_add(time.as_nanos() as u64, Ordering::Relaxed);
     }
 
-    pub(super) fn counts(&self) -> Counts {
+    pub(super) fn counts(&self) -> DeviceCounts {
         let of = |count: &AtomicU64| count.load(Ordering::Relaxed);
-        Counts {
+        DeviceCounts {
             dispatches: of(&self.dispatches),
             submissions: of(&self.submitted),
             waits: of(&self.waits),
@@ -65,12 +65,12 @@ impl Tally {
 
     /// Most submissions that were not known to be done since this was last asked.
     #[cfg(test)]
-    pub(super) fn take_most_ahead(&self) -> u64 {
-        self.most_ahead.swap(0, Ordering::Relaxed)
+    pub(super) fn take_max_in_flight(&self) -> u64 {
+        self.max_in_flight.swap(0, Ordering::Relaxed)
     }
 }
 
-impl std::ops::Sub for Counts {
+impl std::ops::Sub for DeviceCounts {
     type Output = Self;
 
     fn sub(self, earlier: Self) -> Self {

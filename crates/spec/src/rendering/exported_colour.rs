@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// Quantity stored as the colour of exported Gaussians.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Shown {
+pub enum ExportedColour {
     /// Radiance as in the photographs.
     Radiance,
     /// The model relit with an environment map.

@@ -10,7 +10,7 @@ use crate::{CaptureError, ImportLimits};
 
 /// A capture's files by their path relative to the capture's root, `/` between parts.
 #[derive(Debug)]
-pub struct Source {
+pub struct CaptureFiles {
     label: String,
     limits: ImportLimits,
     container: Container,
@@ -25,7 +25,7 @@ enum Container {
     Tar(TarEntries),
 }
 
-impl Source {
+impl CaptureFiles {
     /// Opens a folder or an archive (zip, tar, gzipped tar); the kind of archive is detected from its content.
     ///
     /// A single folder around all files is removed from the paths, and files that file managers add are left out.

@@ -6,7 +6,7 @@ use relume_spec::rendering::{AlphaMode, Background, Quality, Tier};
 
 /// What a picture file says of how it was made.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct FrameNotes {
+pub struct FrameMetadata {
     /// Names the model.
     pub model: String,
     /// Names the light's content.
@@ -23,7 +23,7 @@ pub struct FrameNotes {
     pub frames_per_second: Option<u32>,
 }
 
-impl FrameNotes {
+impl FrameMetadata {
     /// As attributes of an EXR.
     pub(super) fn attributes(&self, background: Background, alpha: AlphaMode) -> FrameAttributes {
         let Quality { tier, samples, seed } = self.quality;

@@ -8,7 +8,7 @@ use relume_scene::Field;
 use relume_spec::training::ComplexitySetting;
 
 /// A learned part that the model is tried without.
-struct Trial {
+struct Ablation {
     setting: ComplexitySetting,
     /// The setting's value without it.
     without: &'static str,
@@ -25,7 +25,7 @@ struct Trial {
 pub fn drop_least(complexity: &mut ComplexityState, context: &DecisionContext<'_>, state: &mut TrainState) {
     let n = state.model.gaussians.len();
     if context.is_forced(ComplexitySetting::Gaussians) {
-        return complexity.note_forced(ComplexitySetting::Gaussians, context.steps, n.to_string());
+        return complexity.record_forced_value(ComplexitySetting::Gaussians, context.steps, n.to_string());
     }
     let weights = context.blending_weights(state, MANY_VIEWS);
     let with = context.radiance_psnr(state);
@@ -48,7 +48,7 @@ pub fn drop_least(complexity: &mut ComplexityState, context: &DecisionContext<'_
         ("share_dropped", 1.0 - left as f32 / n.max(1) as f32),
     ];
     let (was, is) = (n.to_string(), left.to_string());
-    complexity.note(ComplexitySetting::Gaussians, context.steps, was, is, &figures);
+    complexity.record_decision(ComplexitySetting::Gaussians, context.steps, was, is, &figures);
     *state = smaller;
 }
 
@@ -60,50 +60,56 @@ pub fn decide_metalness(
 ) {
     if context.is_forced(ComplexitySetting::Metalness) {
         let value = if context.config().metalness { "learned" } else { "dielectric" };
-        return complexity.note_forced(ComplexitySetting::Metalness, context.steps, value.to_owned());
+        return complexity.record_forced_value(ComplexitySetting::Metalness, context.steps, value.to_owned());
     }
     let mut without = state.clone();
     apply::make_dielectric(&mut without);
-    let trial = Trial {
+    let ablation = Ablation {
         setting: ComplexitySetting::Metalness,
         without: "dielectric",
         figures: ["psnr_learned", "psnr_dielectric"],
         tolerance: decide::METALNESS_TOLERANCE,
     };
-    complexity.is_dielectric = try_without(&trial, complexity, context, state, without);
+    complexity.is_dielectric = ablate(&ablation, complexity, context, state, without);
 }
 
 /// Renders the photographs with and without sheen.
 pub fn decide_sheen(complexity: &mut ComplexityState, context: &DecisionContext<'_>, state: &mut TrainState) {
     if context.is_forced(ComplexitySetting::Sheen) {
         let value = if context.config().sheen { "learned" } else { "none" };
-        return complexity.note_forced(ComplexitySetting::Sheen, context.steps, value.to_owned());
+        return complexity.record_forced_value(ComplexitySetting::Sheen, context.steps, value.to_owned());
     }
     let mut without = state.clone();
     without.model.gaussians.field_mut(Field::Sheen).fill(0.0);
-    let trial = Trial {
+    let ablation = Ablation {
         setting: ComplexitySetting::Sheen,
         without: "none",
         figures: ["psnr", "psnr_without"],
         tolerance: decide::SHEEN_TOLERANCE,
     };
-    try_without(&trial, complexity, context, state, without);
+    ablate(&ablation, complexity, context, state, without);
 }
 
 /// Replaces `state` by the one without the part if the photographs allow it; says whether it did.
-fn try_without(
-    trial: &Trial,
+fn ablate(
+    ablation: &Ablation,
     complexity: &mut ComplexityState,
     context: &DecisionContext<'_>,
     state: &mut TrainState,
     without: TrainState,
 ) -> bool {
     let [with, bare] = [&*state, &without].map(|state| context.physical_psnr(state));
-    let is_needed = with - bare > trial.tolerance;
-    let [name, name_without] = trial.figures;
-    let figures = [(name, with), (name_without, bare), ("tolerance_db", trial.tolerance)];
-    let is = if is_needed { "learned" } else { trial.without };
-    complexity.note(trial.setting, context.steps, "learned".to_owned(), is.to_owned(), &figures);
+    let is_needed = with - bare > ablation.tolerance;
+    let [name, name_without] = ablation.figures;
+    let figures = [(name, with), (name_without, bare), ("tolerance_db", ablation.tolerance)];
+    let is = if is_needed { "learned" } else { ablation.without };
+    complexity.record_decision(
+        ablation.setting,
+        context.steps,
+        "learned".to_owned(),
+        is.to_owned(),
+        &figures,
+    );
     if !is_needed {
         *state = without;
     }

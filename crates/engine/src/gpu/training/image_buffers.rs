@@ -11,7 +11,7 @@ use relume_layout::channel::Channels;
 
 /// Buffers of the size of the image.
 #[derive(Debug, Clone)]
-pub(super) struct Canvas {
+pub(super) struct ImageBuffers {
     pixels: usize,
     pub(super) images: Images,
     pub(super) by_images: Images,
@@ -21,22 +21,22 @@ pub(super) struct Canvas {
     pub(super) by_buffers: Buffer<[f32; 4]>,
 }
 
-impl Canvas {
+impl ImageBuffers {
     /// The canvas in `slot`, replaced when it has another number of pixels.
     pub(super) fn at(slot: &mut Option<Self>, gpu: &Gpu, pixels: usize) -> Result<Self, DeviceError> {
-        if let Some(canvas) = slot.as_ref().filter(|canvas| canvas.pixels == pixels) {
-            return Ok(canvas.clone());
+        if let Some(image_buffers) = slot.as_ref().filter(|image_buffers| image_buffers.pixels == pixels) {
+            return Ok(image_buffers.clone());
         }
         // The old one goes first: both at once may not fit.
         *slot = None;
-        let canvas = Self {
+        let image_buffers = Self {
             pixels,
             images: Images::new(gpu, pixels)?,
             by_images: Images::new(gpu, pixels)?,
             partials: gpu.buffer("partial derivatives of the image terms", 3 * pixels)?,
             by_buffers: gpu.buffer("gradient by the buffers", 2 * pixels)?,
         };
-        Ok(slot.insert(canvas).clone())
+        Ok(slot.insert(image_buffers).clone())
     }
 
     /// Adds the terms on the images and buffers of `frame` to `losses`, and writes their gradients.

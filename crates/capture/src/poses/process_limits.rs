@@ -6,11 +6,11 @@ use std::process::Child;
 
 /// What a program may take. Only Linux can hold it to that.
 #[derive(Debug, Default)]
-pub(super) struct Bounds {
+pub(super) struct ProcessLimits {
     /// Bytes of memory; any number when absent.
     pub memory: Option<u64>,
     /// Whether others go first where processors are scarce.
-    pub makes_way: bool,
+    pub low_priority: bool,
     /// A file that says which process runs: where this process is killed, the next one ends what it left.
     pub marker: Option<PathBuf>,
 }
@@ -21,20 +21,20 @@ mod linux {
 
     use rustix::process::{Pid, Resource, Rlimit, Signal};
 
-    use super::Bounds;
+    use super::ProcessLimits;
 
     /// How far a program that makes way steps back, of 19.
     const NICE: i32 = 10;
 
-    impl Bounds {
+    impl ProcessLimits {
         /// Holds a program to the bounds that has just begun.
-        pub(in super::super) fn put_on(&self, child: &Child) -> std::io::Result<()> {
+        pub(in super::super) fn apply_to(&self, child: &Child) -> std::io::Result<()> {
             let Some(pid) = Pid::from_raw(child.id().cast_signed()) else { return Ok(()) };
             if let Some(marker) = &self.marker {
                 std::fs::write(marker, child.id().to_string())?;
             }
             // A program that has ended by now needs no bounds.
-            if self.makes_way {
+            if self.low_priority {
                 let _ = rustix::process::setpriority_process(Some(pid), NICE);
             }
             if let Some(bytes) = self.memory {
@@ -46,7 +46,7 @@ mod linux {
 
         /// Ends the program that an earlier process left, if the marker still names it: its command line names the folder of the
         /// marker.
-        pub(in super::super) fn end_earlier(&self) {
+        pub(in super::super) fn kill_leftover(&self) {
             let named = || {
                 let marker = self.marker.as_ref()?;
                 let pid: i32 = std::fs::read_to_string(marker).ok()?.trim().parse().ok()?;
@@ -66,18 +66,18 @@ mod linux {
 }
 
 #[cfg(not(target_os = "linux"))]
-impl Bounds {
+impl ProcessLimits {
     /// Holds a program to the bounds that has just begun: not here.
-    pub(super) fn put_on(&self, _: &Child) -> std::io::Result<()> {
-        let _ = (self.memory, self.makes_way);
+    pub(super) fn apply_to(&self, _: &Child) -> std::io::Result<()> {
+        let _ = (self.memory, self.low_priority);
         Ok(())
     }
 
     /// Ends the program that an earlier process left: not here.
-    pub(super) fn end_earlier(&self) {}
+    pub(super) fn kill_leftover(&self) {}
 }
 
-impl Bounds {
+impl ProcessLimits {
     /// Forgets a program that has ended.
     pub(super) fn forget(&self) {
         if let Some(marker) = &self.marker {
@@ -94,16 +94,17 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::poses::process::Program;
-    use crate::poses::watch::Watch;
+    use crate::poses::process::ExternalProgram;
+    use crate::poses::run_control::RunControl;
 
     /// What `sh -c script` writes under these bounds.
-    fn said(bounds: Bounds, script: &str, folder: &Path) -> Vec<String> {
+    fn said(process_limits: ProcessLimits, script: &str, folder: &Path) -> Vec<String> {
         let (log, mut lines, mut ignored) = (folder.join("x.log"), Vec::new(), |_| {});
-        let program = Program { name: "sh".as_ref(), install: "", log: &log, folder: None, bounds };
-        let mut watch = Watch::new(Duration::from_secs(60), &mut ignored, &|| false);
+        let program =
+            ExternalProgram { name: "sh".as_ref(), install: "", log: &log, folder: None, process_limits };
+        let mut run_control = RunControl::new(Duration::from_secs(60), &mut ignored, &|| false);
         let arguments = ["-c".as_ref(), script.as_ref()];
-        program.run(&arguments, &mut watch, &mut |line, _| lines.push(line.to_owned())).unwrap();
+        program.run(&arguments, &mut run_control, &mut |line, _| lines.push(line.to_owned())).unwrap();
         lines
     }
 
@@ -112,9 +113,9 @@ mod tests {
         let folder = tempfile::TempDir::new().unwrap();
         // The bounds come right after its start.
         let script = "sleep 0.5; ulimit -d; nice";
-        let bounds = Bounds { memory: Some(64 << 20), makes_way: true, marker: None };
-        let held = said(bounds, script, folder.path());
-        let free = said(Bounds::default(), script, folder.path());
+        let process_limits = ProcessLimits { memory: Some(64 << 20), low_priority: true, marker: None };
+        let held = said(process_limits, script, folder.path());
+        let free = said(ProcessLimits::default(), script, folder.path());
         assert_eq!(held[0], "65536", "KiB");
         assert_ne!((&held[0], &held[1]), (&free[0], &free[1]), "the control");
         let nice = |lines: &[String]| lines[1].parse::<i32>().unwrap();
@@ -145,8 +146,9 @@ mod tests {
             let mut child = start_looping(argument);
             std::fs::write(&marker, child.id().to_string()).unwrap();
             let reaped = std::thread::scope(|scope| {
-                let bounds = Bounds { marker: Some(marker.clone()), ..Bounds::default() };
-                let ending = scope.spawn(move || bounds.end_earlier());
+                let process_limits =
+                    ProcessLimits { marker: Some(marker.clone()), ..ProcessLimits::default() };
+                let ending = scope.spawn(move || process_limits.kill_leftover());
                 // A process that has ended is there until its parent, which is this one, asks for it.
                 let polls = if is_ours { 3000 } else { 50 };
                 let reaped = (0..polls).any(|_| {

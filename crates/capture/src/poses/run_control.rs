@@ -39,7 +39,7 @@ pub struct PoseProgress {
 }
 
 /// Who follows the work.
-pub struct Watch<'a> {
+pub struct RunControl<'a> {
     /// Told of progress.
     pub progress: &'a mut dyn FnMut(PoseProgress),
     /// Asked several times a second; once true, the work ends as [`super::PoseError::Cancelled`].
@@ -49,7 +49,7 @@ pub struct Watch<'a> {
     limit: Duration,
 }
 
-impl<'a> Watch<'a> {
+impl<'a> RunControl<'a> {
     /// A watch over work that may take `limit` from now on.
     pub fn new(
         limit: Duration,

@@ -4,35 +4,35 @@ use std::sync::{Mutex, PoisonError};
 
 use super::findings::{self, Finding};
 use super::overlap::{self, Thumbnail};
-use super::photo::{self, PhotoFacts};
-use crate::formats::exif_facts::ExifFacts;
+use super::photo::{self, PhotoStats};
+use crate::formats::exif_data::ExifData;
 use crate::sharpness;
 use relume_scene::ImageRgba;
 
 /// Photographs that were looked at, in any order.
 #[derive(Default)]
-pub(crate) struct Looks(Mutex<Vec<(PhotoFacts, Thumbnail)>>);
+pub(crate) struct ImageChecks(Mutex<Vec<(PhotoStats, Thumbnail)>>);
 
-impl Looks {
+impl ImageChecks {
     /// Longest side of the images that are looked at, pixels.
     pub(crate) const SIDE: u32 = sharpness::SIDE;
 
     /// Looks at a photograph of `stored` pixels, reduced to at most [`Self::SIDE`].
     pub(crate) fn add(&self, name: &str, image: &ImageRgba, stored: (u32, u32)) {
-        let facts = photo::facts(name, image, stored, ExifFacts::default());
-        let look = (facts, Thumbnail::of(image));
+        let stats = photo::stats(name, image, stored, ExifData::default());
+        let look = (stats, Thumbnail::of(image));
         self.0.lock().unwrap_or_else(PoisonError::into_inner).push(look);
     }
 
     /// What is to be said of single photographs; they are named in their order.
     pub(crate) fn findings(self) -> Vec<Finding> {
-        let mut looks = self.0.into_inner().unwrap_or_else(PoisonError::into_inner);
-        looks.sort_by(|a, b| a.0.name.cmp(&b.0.name));
-        let (mut facts, thumbnails): (Vec<_>, Vec<_>) = looks.into_iter().unzip();
-        for (facts, similarity) in facts.iter_mut().zip(overlap::with_nearest(&thumbnails)) {
-            facts.overlap = similarity;
+        let mut image_checks = self.0.into_inner().unwrap_or_else(PoisonError::into_inner);
+        image_checks.sort_by(|a, b| a.0.name.cmp(&b.0.name));
+        let (mut stats, thumbnails): (Vec<_>, Vec<_>) = image_checks.into_iter().unzip();
+        for (stats, similarity) in stats.iter_mut().zip(overlap::with_nearest(&thumbnails)) {
+            stats.overlap = similarity;
         }
-        let mut found = findings::findings(&facts, &[]);
+        let mut found = findings::findings(&stats, &[]);
         found.retain(|finding| !finding.photos.is_empty());
         found
     }
@@ -51,12 +51,12 @@ mod tests {
             };
             ImageRgba { width: 32, height: 32, pixels: (0..1024).map(pixel).collect() }
         };
-        let looks = Looks::default();
+        let image_checks = ImageChecks::default();
         for i in 0..8 {
-            looks.add(&format!("{i}.jpg"), &image(0.12, 0.0), (4000, 3000));
+            image_checks.add(&format!("{i}.jpg"), &image(0.12, 0.0), (4000, 3000));
         }
-        looks.add("dark.jpg", &image(0.12, 1.0), (4000, 3000));
-        let found = looks.findings();
+        image_checks.add("dark.jpg", &image(0.12, 1.0), (4000, 3000));
+        let found = image_checks.findings();
         let dark: Vec<_> = found.iter().filter(|finding| finding.text.contains("are dark")).collect();
         assert_eq!(dark.len(), 1, "{found:?}");
         assert_eq!(dark[0].photos, ["dark.jpg"], "the control: the others have the same pixels, but a mask");

@@ -1,6 +1,6 @@
 //! How a frame becomes a file.
 
-use crate::render::FrameNotes;
+use crate::render::FrameMetadata;
 use crate::render::error::RenderError;
 use relume_spec::rendering::{
     AlphaMode, Background, ColourDepth, FrameFormat, Output, Primaries, ToneCurve, is_colour,
@@ -8,7 +8,7 @@ use relume_spec::rendering::{
 
 /// How a frame becomes a file.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Finish {
+pub struct EncodeOptions {
     /// What stands behind the model. For [`Background::Environment`] the frame brings it
     /// ([`Renderer::show_environment`](crate::render::Renderer::show_environment)).
     pub background: Background,
@@ -21,10 +21,10 @@ pub struct Finish {
     /// The primaries of an EXR's colours; other files are sRGB.
     pub primaries: Option<Primaries>,
     /// What an EXR says of how it was made.
-    pub notes: FrameNotes,
+    pub frame_metadata: FrameMetadata,
 }
 
-impl Finish {
+impl EncodeOptions {
     /// Refuses what a file of `format` cannot show.
     ///
     /// # Errors
@@ -78,21 +78,21 @@ mod tests {
 
     #[test]
     fn unsupported_format_options_are_refused_by_field() {
-        let colour = Finish { background: Background::Colour([9; 3]), ..Finish::default() };
-        let environment = Finish { background: Background::Environment, ..Finish::default() };
-        let curve = |tone_curve| Finish { tone_curve, ..Finish::default() };
-        let straight = Finish { alpha: Some(AlphaMode::Straight), ..Finish::default() };
-        let acescg = Finish { primaries: Some(Primaries::Acescg), ..Finish::default() };
-        let half = Finish { colour_depth: Some(ColourDepth::Half), ..Finish::default() };
-        let refused = |finish: &Finish, output, format| match finish.check(&[output], format) {
+        let colour = EncodeOptions { background: Background::Colour([9; 3]), ..EncodeOptions::default() };
+        let environment = EncodeOptions { background: Background::Environment, ..EncodeOptions::default() };
+        let curve = |tone_curve| EncodeOptions { tone_curve, ..EncodeOptions::default() };
+        let straight = EncodeOptions { alpha: Some(AlphaMode::Straight), ..EncodeOptions::default() };
+        let acescg = EncodeOptions { primaries: Some(Primaries::Acescg), ..EncodeOptions::default() };
+        let half = EncodeOptions { colour_depth: Some(ColourDepth::Half), ..EncodeOptions::default() };
+        let refused = |options: &EncodeOptions, output, format| match options.check(&[output], format) {
             Err(RenderError::Refused { field, .. }) => Some(field),
             _ => None,
         };
         let (rgb, albedo, depth) = (Output::Rgb, Output::Albedo, Output::Depth);
-        for (finish, output, png, jpeg, exr) in [
-            (&Finish::default(), albedo, None, None, None),
+        for (options, output, png, jpeg, exr) in [
+            (&EncodeOptions::default(), albedo, None, None, None),
             (&colour, albedo, None, None, Some("background")),
-            (&Finish::default(), depth, None, None, None),
+            (&EncodeOptions::default(), depth, None, None, None),
             (&colour, depth, Some("background"), Some("background"), Some("background")),
             (&curve(ToneCurve::Linear), depth, Some("tone_curve"), Some("tone_curve"), None),
             (&environment, rgb, None, None, None),
@@ -104,8 +104,8 @@ mod tests {
             (&acescg, albedo, Some("primaries"), Some("primaries"), None),
         ] {
             let found =
-                [FrameFormat::Png, FrameFormat::Jpeg, FrameFormat::Exr].map(|f| refused(finish, output, f));
-            assert_eq!(found, [png, jpeg, exr], "{finish:?} {output:?}");
+                [FrameFormat::Png, FrameFormat::Jpeg, FrameFormat::Exr].map(|f| refused(options, output, f));
+            assert_eq!(found, [png, jpeg, exr], "{options:?} {output:?}");
         }
     }
 }

@@ -6,7 +6,7 @@ use crate::store::Quota;
 
 /// Options about how much one key or tenant may take.
 #[derive(Debug, clap::Args)]
-pub(super) struct FairnessArgs {
+pub(super) struct TenantLimitArgs {
     /// Requests that a key may make a minute; one more gets 429. Not bounded where absent.
     #[arg(long, env = "RELUME_REQUESTS_PER_MINUTE", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     requests_per_minute: Option<u32>,
@@ -27,7 +27,7 @@ pub(super) struct FairnessArgs {
     max_bytes_per_tenant: Option<u64>,
 }
 
-impl FairnessArgs {
+impl TenantLimitArgs {
     pub(super) fn apply(&self, config: &mut ServerConfig) {
         config.requests_per_minute = self.requests_per_minute;
         config.requests_per_minute_of_tenant = self.requests_per_minute_per_tenant;

@@ -8,13 +8,13 @@ const CONTROL_GROUPS: &str = "/sys/fs/cgroup";
 /// Bytes of memory that this process can still have: what the machine has left, at most what its control groups allow. `None`
 /// where neither can be read.
 pub fn available_memory() -> Option<u64> {
-    [of_machine("MemAvailable:"), own_group_limit()].into_iter().flatten().min()
+    [of_machine("MemAvailable:"), cgroup_limit()].into_iter().flatten().min()
 }
 
 /// Bytes of memory that this process could have if there were no other: those of the machine, at most what its control groups allow.
 /// `None` likewise.
-pub fn whole_memory() -> Option<u64> {
-    [of_machine("MemTotal:"), own_group_limit()].into_iter().flatten().min()
+pub fn total_memory() -> Option<u64> {
+    [of_machine("MemTotal:"), cgroup_limit()].into_iter().flatten().min()
 }
 
 /// A number of `/proc/meminfo`, bytes.
@@ -24,13 +24,13 @@ fn of_machine(name: &str) -> Option<u64> {
 
 /// The least limit, bytes, of the control group of this process (`MemoryMax` of a systemd unit, the limit of a container) and of those
 /// around it; `None` where there is none.
-pub fn own_group_limit() -> Option<u64> {
+pub fn cgroup_limit() -> Option<u64> {
     let own = std::fs::read_to_string("/proc/self/cgroup").ok()?;
-    group_limit(Path::new(CONTROL_GROUPS), &own)
+    cgroup_limit_of(Path::new(CONTROL_GROUPS), &own)
 }
 
 /// The least limit of the control group that `own` (the text of `/proc/self/cgroup`) names, and of those around it.
-fn group_limit(root: &Path, own: &str) -> Option<u64> {
+fn cgroup_limit_of(root: &Path, own: &str) -> Option<u64> {
     // "0::" is version 2; its path begins at the root of the groups.
     let path = own.lines().find_map(|line| line.strip_prefix("0::/"))?;
     let groups = Path::new(path).ancestors();
@@ -57,14 +57,14 @@ mod tests {
         let unit = root.path().join("system.slice/relume.service");
         std::fs::create_dir_all(&unit).unwrap();
         let own = "9:name=systemd:/other\n0::/system.slice/relume.service\n";
-        assert_eq!(group_limit(root.path(), own), None);
+        assert_eq!(cgroup_limit_of(root.path(), own), None);
         std::fs::write(unit.join("memory.max"), "2147483648\n").unwrap();
         std::fs::write(root.path().join("system.slice/memory.max"), "max\n").unwrap();
-        assert_eq!(group_limit(root.path(), own), Some(2 << 30));
+        assert_eq!(cgroup_limit_of(root.path(), own), Some(2 << 30));
         std::fs::write(root.path().join("system.slice/memory.max"), "1073741824\n").unwrap();
-        assert_eq!(group_limit(root.path(), own), Some(1 << 30));
+        assert_eq!(cgroup_limit_of(root.path(), own), Some(1 << 30));
         let version_1 = "9:memory:/system.slice/relume.service\n";
-        assert_eq!(group_limit(root.path(), version_1), None, "version 1 has other files");
+        assert_eq!(cgroup_limit_of(root.path(), version_1), None, "version 1 has other files");
     }
 
     #[test]
