@@ -18,8 +18,8 @@ test-all *FILTER:
 # Format, lints and API documentation without a warning
 lint:
     cargo fmt --check
-    cargo clippy --release --all-targets -- -D warnings
-    RUSTDOCFLAGS='-D warnings' cargo doc --release --no-deps
+    cargo clippy --release --workspace --all-targets -- -D warnings
+    RUSTDOCFLAGS='-D warnings' cargo doc --release --no-deps --workspace
 
 # Spelling, licences and sources of dependencies (pip install typos)
 audit:
@@ -28,7 +28,7 @@ audit:
 
 # Milliseconds of each stage of the CPU engine
 bench:
-    cargo bench --bench engine
+    cargo bench -p relume-bench --bench engine
 
 # The demo: train on a synthetic scene, relight, measure; writes demo-out/
 demo:
@@ -45,3 +45,7 @@ openapi:
 # What a change must pass
 ci:
     .ci/run
+
+# Seconds of builds and edits, here and at other commits
+build-times *COMMITS:
+    benches/build_times {{COMMITS}}

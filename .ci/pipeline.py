@@ -72,7 +72,7 @@ def run(url, *options, key=KEY, capture="capture.zip", stop_at=None):
     command = [sys.executable, "-u", str(EXAMPLE / "relight.py"), str(FOLDER / capture), str(out), "--url", url, *TINY, *options]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     said = ""
-    with subprocess.Popen(command, env={**os.environ, "RELUME_KEY": key}, **pipes) as process:
+    with subprocess.Popen(command, env={**os.environ, "RELUME_API_KEY": key}, **pipes) as process:
         late = threading.Timer(240, process.kill)
         late.start()
         for line in process.stdout:

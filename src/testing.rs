@@ -1,4 +1,4 @@
-//! Start a server on a free port from your own tests.
+//! Starts a server on a free port, for tests of other programs.
 //!
 //! ```no_run
 //! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
@@ -20,7 +20,7 @@ use crate::server::{ServeError, ServerConfig, run};
 use crate::store::DatabaseUrl;
 use relume_client::Client;
 
-/// A running server with a data directory of its own; both end when it is dropped.
+/// A running server with its own data directory. Dropping it stops the server and deletes the directory.
 pub struct TestServer {
     client: Client,
     data: TempDir,
@@ -28,7 +28,7 @@ pub struct TestServer {
     task: JoinHandle<Result<(), ServeError>>,
 }
 
-/// Starts a server with the defaults on a free port of 127.0.0.1 and a temporary data directory.
+/// Starts a server with the default configuration on a free port of 127.0.0.1, with a temporary data directory.
 ///
 /// # Errors
 /// When it cannot start.
@@ -36,7 +36,8 @@ pub async fn spawn() -> Result<TestServer, ServeError> {
     spawn_with(TempDir::new()?, |_| {}).await
 }
 
-/// As [`spawn`], on a directory that may hold what an earlier server left, with changes to the configuration.
+/// As [`spawn`], with an existing data directory, which may contain data of an earlier server, and with changes to the
+/// configuration.
 ///
 /// # Errors
 /// When it cannot start.
@@ -57,18 +58,18 @@ pub async fn spawn_with(
     Ok(TestServer { client, data, stop: stop.drop_guard(), task })
 }
 
-/// The database for a data directory: one of its own on the PostgreSQL server that the environment variable `RELUME_TEST_POSTGRES`
-/// names, the same one whenever it is asked for. `None`, and with it SQLite, where that is not set.
+/// The database for a data directory: a separate database on the PostgreSQL server of the environment variable
+/// `RELUME_TEST_POSTGRES`, the same for each call. `None`, for SQLite, if the variable is not set.
 ///
 /// # Errors
-/// When the URL is wrong or the server cannot be reached.
+/// If the URL is invalid or the server cannot be reached.
 pub async fn database_of(data: &Path) -> Result<Option<DatabaseUrl>, ServeError> {
     let Ok(url) = std::env::var("RELUME_TEST_POSTGRES") else { return Ok(None) };
     let server: DatabaseUrl = url.parse().map_err(std::io::Error::other)?;
     Ok(Some(server.sibling(&database_name(data)).await?))
 }
 
-/// The name of that database.
+/// The name of this database.
 pub fn database_name(data: &Path) -> String {
     let path = data.to_string_lossy();
     let plain = path.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
@@ -86,10 +87,10 @@ impl TestServer {
         self.data.path()
     }
 
-    /// Shuts the server down as a signal would and hands its data directory over.
+    /// Stops the server as a signal would, and returns its data directory.
     ///
     /// # Errors
-    /// What the server ended with.
+    /// The error with which the server ended.
     pub async fn stop(self) -> Result<TempDir, ServeError> {
         self.stop.disarm().cancel();
         match self.task.await {

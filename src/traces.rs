@@ -1,5 +1,5 @@
-//! Which trace a span belongs to, as the header `traceparent` of W3C Trace Context says it, and what a span is told for whoever reads
-//! its trace. Spans are those of `tracing`; with the feature `otlp` the command line sends them to a collector.
+//! Links spans to traces by the header `traceparent` of W3C Trace Context, and sets attributes of spans. Spans are those of
+//! `tracing`. With the feature `otlp` the command line sends them to a collector.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ pub(crate) const HEADER: &str = "traceparent";
 /// Length of a `traceparent` of version 00.
 const LENGTH: usize = 55;
 
-/// A span of a trace, also one of another process: a valid `traceparent`.
+/// A valid `traceparent`: a span of a trace, possibly of another process.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct TraceParent {
     trace: String,
@@ -20,8 +20,8 @@ pub(crate) struct TraceParent {
 }
 
 impl TraceParent {
-    /// Reads a header. What is not valid is no parent: as the standard asks, a trace begins anew then. Of a later version, what
-    /// version 00 knows is read.
+    /// Parses a header; `None` if it is invalid, in which case a new trace begins, as the standard requires. For a later version
+    /// the fields of version 00 are read.
     pub(crate) fn parse(text: &str) -> Option<Self> {
         let (known, rest) = text.split_at_checked(LENGTH)?;
         let mut parts = known.split('-');
@@ -50,7 +50,7 @@ impl fmt::Display for TraceParent {
     }
 }
 
-/// Makes a new span, which nothing has entered yet, a child of `parent`. Without traces nothing happens.
+/// Makes a new span, which has not been entered yet, a child of `parent`. Has no effect without traces.
 #[cfg(feature = "otlp")]
 pub(crate) fn link_parent(span: &Span, parent: &TraceParent) {
     use opentelemetry::Context;
@@ -65,15 +65,15 @@ pub(crate) fn link_parent(span: &Span, parent: &TraceParent) {
         return;
     };
     let context = SpanContext::new(trace, id, TraceFlags::new(flags), true, TraceState::NONE);
-    // Refused where nothing takes spans, which is no fault.
+    // This fails if no layer records spans, which is not an error.
     span.set_parent(Context::new().with_remote_span_context(context)).ok();
 }
 
-/// Makes a new span, which nothing has entered yet, a child of `parent`. Without traces nothing happens.
+/// Makes a new span, which has not been entered yet, a child of `parent`. Has no effect without traces.
 #[cfg(not(feature = "otlp"))]
 pub(crate) fn link_parent(_span: &Span, _parent: &TraceParent) {}
 
-/// The span as others name it; `None` when it is part of no trace.
+/// The span as a `traceparent`; `None` if it belongs to no trace.
 #[cfg(feature = "otlp")]
 pub(crate) fn as_parent(span: &Span) -> Option<TraceParent> {
     use opentelemetry::trace::TraceContextExt;
@@ -88,13 +88,13 @@ pub(crate) fn as_parent(span: &Span) -> Option<TraceParent> {
     })
 }
 
-/// The span as others name it; `None` when it is part of no trace.
+/// The span as a `traceparent`; `None` if it belongs to no trace.
 #[cfg(not(feature = "otlp"))]
 pub(crate) fn as_parent(_span: &Span) -> Option<TraceParent> {
     None
 }
 
-/// Says with which status a request was answered; 500 and above are errors.
+/// Records the status of a request's answer; 500 and above are errors.
 #[cfg(feature = "otlp")]
 pub(crate) fn record_status(span: &Span, status: u16) {
     use tracing_opentelemetry::OpenTelemetrySpanExt;
@@ -105,11 +105,11 @@ pub(crate) fn record_status(span: &Span, status: u16) {
     }
 }
 
-/// Says with which status a request was answered; 500 and above are errors.
+/// Records the status of a request's answer; 500 and above are errors.
 #[cfg(not(feature = "otlp"))]
 pub(crate) fn record_status(_span: &Span, _status: u16) {}
 
-/// Marks what a span stands for as failed.
+/// Marks a span as failed.
 #[cfg(feature = "otlp")]
 pub(crate) fn record_error(span: &Span, why: &'static str) {
     use opentelemetry::trace::Status;
@@ -118,7 +118,7 @@ pub(crate) fn record_error(span: &Span, why: &'static str) {
     span.set_status(Status::error(why));
 }
 
-/// Marks what a span stands for as failed.
+/// Marks a span as failed.
 #[cfg(not(feature = "otlp"))]
 pub(crate) fn record_error(_span: &Span, _why: &'static str) {}
 
@@ -139,7 +139,7 @@ mod tests {
         let unsampled = VALID.replace("-01", "-00");
         assert_eq!(read(&unsampled), Some(unsampled));
         let later = format!("cc{}-what-the-future-will-be-like", &VALID[2..]);
-        assert_eq!(read(&later).as_deref(), Some(VALID), "what this version knows of a later one");
+        assert_eq!(read(&later).as_deref(), Some(VALID), "a later version is read as version 00");
     }
 
     #[test]

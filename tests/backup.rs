@@ -170,7 +170,7 @@ async fn an_incomplete_restore_is_not_served() {
 async fn a_failed_backup_names_the_cause_and_leaves_nothing() {
     let (data, out) = backed_up().await;
     fails_with(&backup(data.path(), out.path()), "is not empty");
-    fails_with(&backup(&data.path().join("nowhere"), &out.path().join("a")), "no data directory");
+    fails_with(&backup(&data.path().join("nowhere"), &out.path().join("a")), "not a data directory");
     assert!(!data.path().join("nowhere").exists() && !out.path().join("a").exists());
     let files = files_under(data.path());
     let [points, model] = ["model.ply", "model.safetensors"]

@@ -37,7 +37,7 @@ async fn used() -> TempDir {
 async fn doctor_reports_damaged_missing_and_unknown_artifacts() {
     let data = used().await;
     let (sound, said) = doctor(data.path());
-    assert!(sound && said.contains("3 named by the database, 0 not"), "{said}");
+    assert!(sound && said.contains("3 referenced by the database, 0 not"), "{said}");
 
     let files = files_under(data.path());
     let [capture, model, points] = ["captures/", "model.safetensors", "model.ply"]
@@ -45,7 +45,7 @@ async fn doctor_reports_damaged_missing_and_unknown_artifacts() {
     let unknown = format!("artifacts/captures/{}", "b".repeat(64));
     std::fs::write(data.path().join(&unknown), "x").unwrap();
     let (sound, said) = doctor(data.path());
-    assert!(sound && said.contains(&format!("{unknown}: nothing refers to it")), "{said}");
+    assert!(sound && said.contains(&format!("{unknown}: not referenced")), "{said}");
 
     std::fs::write(data.path().join(&model), "other bytes").unwrap();
     std::fs::remove_file(data.path().join(&points)).unwrap();

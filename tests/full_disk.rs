@@ -179,7 +179,7 @@ async fn training_pauses_at_its_checkpoint_while_the_disk_is_full() {
         tokio::time::sleep(Duration::from_millis(200)).await;
         paused = client.job(&job.id).await.unwrap();
     }
-    assert_eq!(paused.progress.message.as_deref(), Some("waiting for room on the disk"));
+    assert_eq!(paused.progress.message.as_deref(), Some("waiting for disk space"));
     assert!(paused.progress.step >= 1000 && paused.progress.step % 200 == 0, "{:?}", paused.progress);
     let (status, why) = readiness(client).await;
     assert!(status == 503 && why.contains("the disk is full"), "{status} {why}");

@@ -19,7 +19,7 @@ mod fuzz;
 mod hostile;
 mod job_machine;
 mod kills;
-mod marks;
+mod metadata;
 mod on_postgres;
 mod poses;
 mod promises;

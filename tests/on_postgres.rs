@@ -248,7 +248,7 @@ async fn on_postgres_doctor_checks_files_named_in_the_database() {
         (output.status.success(), said)
     };
     let (is_sound, said) = doctor(&url);
-    assert!(is_sound && said.contains("3 named by the database, 0 not"), "{said}");
+    assert!(is_sound && said.contains("3 referenced by the database, 0 not"), "{said}");
     let files = files_under(data.path());
     let (points, _) = files.iter().find(|(name, _)| name.ends_with("model.ply")).unwrap();
     std::fs::remove_file(data.path().join(points)).unwrap();

@@ -236,7 +236,7 @@ fn capture_check_exit_code_reports_photograph_problems() {
     }
     let many = place.relume(&["capture", "check", "many"], true);
     let told = String::from_utf8_lossy(&many.stdout);
-    assert!(many.status.success() && told.ends_with("\nfit to be trained on\n"), "{told}");
+    assert!(many.status.success() && told.ends_with("\nsuitable for training\n"), "{told}");
     fs::write(place.at("many/x.jpg"), "no picture").unwrap();
     let damaged = place.relume(&["capture", "check", "many"], true);
     let told = String::from_utf8_lossy(&damaged.stdout);

@@ -132,7 +132,7 @@ mod stops {
         assert_eq!(child.wait().unwrap().code(), Some(75));
         let output = train(at, &kept).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success() && said.contains("going on from step"), "{said}");
+        assert!(output.status.success() && said.contains("resuming from step"), "{said}");
         let model = |file: &str| model_file::decode(&std::fs::read(at.join(file)).unwrap()).unwrap();
         assert!(model("whole.safetensors").gaussians == model("kept.safetensors").gaussians);
         assert!(!at.join("c").exists(), "the checkpoint of a finished training");

@@ -141,7 +141,7 @@ fn cli_training_resumes_from_its_checkpoint_and_removes_it() {
     std::fs::write(at.join("c"), trainer.checkpoint().unwrap()).unwrap();
     let output = train("resumed.safetensors", &["--checkpoint", "c"]);
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.contains("going on from step 7"), "{said}");
+    assert!(output.status.success() && said.contains("resuming from step 7"), "{said}");
     let model = |file: &str| model_file::decode(&std::fs::read(at.join(file)).unwrap()).unwrap();
     assert!(model("whole.safetensors").gaussians == model("resumed.safetensors").gaussians);
     assert!(!at.join("c").exists(), "the checkpoint of a finished training");

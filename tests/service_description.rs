@@ -48,3 +48,62 @@ fn checked_in_openapi_file_matches_the_code() {
     assert!(overrides["properties"]["light"].to_string().contains("KnownLight"), "{overrides}");
     assert_eq!(schemas["LearningRates"]["properties"]["environment"]["default"], 0.15);
 }
+
+/// Every text of the description that a reader sees, with the path to it.
+fn texts(value: &serde_json::Value, at: &str, found: &mut Vec<(String, String)>) {
+    match value {
+        serde_json::Value::Object(fields) => {
+            for (key, value) in fields {
+                match value.as_str().filter(|_| key == "description" || key == "summary") {
+                    Some(text) => found.push((format!("{at}/{key}"), text.to_owned())),
+                    None => texts(value, &format!("{at}/{key}"), found),
+                }
+            }
+        }
+        serde_json::Value::Array(items) => {
+            for (i, item) in items.iter().enumerate() {
+                texts(item, &format!("{at}/{i}"), found);
+            }
+        }
+        _ => {}
+    }
+}
+
+/// What a text says that only readers of the source code understand.
+fn source_reference(text: &str) -> Option<&'static str> {
+    ["[`", "Eq. ", "docs/", "crates/", "src/", "::", "article"].into_iter().find(|part| text.contains(part))
+}
+
+#[test]
+fn openapi_texts_do_not_refer_to_source_code() {
+    let description = serde_json::to_value(relume::server::openapi()).unwrap();
+    let mut found = Vec::new();
+    texts(&description, "", &mut found);
+    assert!(found.len() > 500, "{}", found.len());
+    let wrong: Vec<_> = found.iter().filter_map(|(at, text)| Some((at, source_reference(text)?))).collect();
+    assert!(wrong.is_empty(), "{wrong:#?}");
+    assert_eq!(source_reference("as [`Camera`] says"), Some("[`"), "the control");
+    assert_eq!(source_reference("Width, pixels."), None);
+}
+
+#[test]
+fn openapi_tags_and_operations_are_described() {
+    let description = serde_json::to_value(relume::server::openapi()).unwrap();
+    let tags: Vec<&str> =
+        description["tags"].as_array().unwrap().iter().map(|t| t["name"].as_str().unwrap()).collect();
+    assert!(description["tags"].as_array().unwrap().iter().all(|tag| tag["description"].is_string()));
+    for (path, methods) in description["paths"].as_object().unwrap() {
+        for (method, operation) in
+            methods.as_object().unwrap().iter().filter(|(_, o)| o["operationId"].is_string())
+        {
+            let summary = operation["summary"].as_str().unwrap_or_default();
+            assert!((1..=80).contains(&summary.len()), "{method} {path}: {summary:?}");
+            for tag in operation["tags"].as_array().unwrap() {
+                assert!(
+                    tags.contains(&tag.as_str().unwrap()),
+                    "{method} {path}: tag {tag} has no description"
+                );
+            }
+        }
+    }
+}

@@ -392,5 +392,5 @@ async fn api_keys_are_read_from_a_key_file() {
         assert!(!output.status.success() && why.contains(word), "{why}");
     };
     refused("first-key-of-the-file\nshort\n", "line 2");
-    refused("# nothing\n", "holds no key");
+    refused("# nothing\n", "contains no key");
 }

@@ -180,7 +180,7 @@ async fn a_job_waiting_for_disk_space_reports_it_and_uses_no_attempt() {
     }
     let job = bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap();
     assert_eq!((job.state, job.progress.step, job.idle_attempts), (JobState::Queued, 0, 0));
-    assert_eq!(job.progress.message.as_deref(), Some("waiting for room on the disk"));
+    assert_eq!(job.progress.message.as_deref(), Some("waiting for disk space"));
     let lease = bench.claim().await;
     lease.checkpoint(10, vec![1; 100]).await.unwrap();
     lease.release(Release::NoRoom).await.unwrap();

@@ -130,7 +130,7 @@ async fn training_starts_over_if_its_checkpoint_is_damaged() {
         }
     };
     server.client().wait(&job.id, listen).await.unwrap();
-    assert!(warnings.iter().any(|w| w.contains("training starts over")), "{warnings:?}");
+    assert!(warnings.iter().any(|w| w.contains("the training restarts")), "{warnings:?}");
     assert_eq!(ended(server.client(), &job.id).await.state, JobState::Succeeded);
 }
 

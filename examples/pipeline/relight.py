@@ -2,7 +2,7 @@
 """A capture in, relit EXR frames out, nothing left on the server: a pipeline's whole round with Relume.
 
     relume sample capture.zip
-    RELUME_KEY=... python3 relight.py capture.zip frames/ --env sunset --gate 'novel_view.psnr>=20'
+    RELUME_API_KEY=... python3 relight.py capture.zip frames/ --env sunset --gate 'novel_view.psnr>=20'
 
 Python 3.9 and its standard library. Ends with 0 when the frames are there, 2 when the model missed the quality gate, and 1
 when something failed or it was stopped; what it made on the server is deleted in each case.
@@ -237,7 +237,7 @@ def delete_all(server, made, run):
 
 def main():
     options = arguments()
-    server = Server(options.url, os.environ.get("RELUME_KEY"))
+    server = Server(options.url, os.environ.get("RELUME_API_KEY"))
     made, run = Made(), str(uuid.uuid4())
     try:
         check_files(options)

@@ -1,4 +1,4 @@
-//! Paths of cameras in JSON: Relume's own, nerfstudio's camera path, and the frames of a transforms.json.
+//! Camera paths in JSON: Relume's own format, nerfstudio's camera path, and the frames of a transforms.json.
 
 mod fields;
 mod nerfstudio;
@@ -13,10 +13,10 @@ use relume_api::problem::FieldError;
 use relume_capture::{CaptureError, PhotoCamera, cameras_of_transforms};
 use relume_train::render::FrameView;
 
-/// Relume's own file of cameras. An answer of `GET /v1/captures/{id}/cameras` is one.
+/// Relume's own camera file. The answer of `GET /v1/captures/{id}/cameras` has this format.
 #[derive(Debug, Deserialize)]
 struct CameraFile {
-    /// Size of pictures whose camera states none, pixels.
+    /// Image size of cameras without a size, pixels.
     width: Option<u32>,
     height: Option<u32>,
     cameras: Vec<CameraEntry>,
@@ -31,11 +31,11 @@ struct CameraEntry {
     light_rotation_deg: f64,
 }
 
-/// The views of a path, whichever of its kinds it is; those of a camera that states no size are of `size`, width and height in
-/// pixels. `world` brings a `camera_path` of nerfstudio back to the world of the capture.
+/// The views of a camera path in any supported format. Cameras without a size get `size`, width and height in pixels. `world`
+/// transforms a `camera_path` of nerfstudio back to the world of the capture.
 ///
 /// # Errors
-/// The pointer leads from the path to the field at fault; it is empty where the path is of none of the kinds.
+/// The pointer leads from the path to the invalid field. It is empty if the format is not supported.
 pub fn path_views(
     json: &Value,
     size: (u32, u32),
@@ -133,7 +133,7 @@ mod tests {
         }
         let mistaken = own(json!({ "camera_to_world": rows(wanted.to_opencv()), "fov_y_deg": fov }));
         let forward = views(&mistaken).unwrap()[0].camera.forward();
-        assert!((forward - wanted.forward()).length() > 1.0, "the control: axes taken for others");
+        assert!((forward - wanted.forward()).length() > 1.0, "the control: with the wrong axis convention");
     }
 
     #[test]

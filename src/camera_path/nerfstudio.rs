@@ -1,4 +1,4 @@
-//! nerfstudio's camera path, as its viewer exports it.
+//! The camera path format of nerfstudio, as exported by its viewer.
 
 use glam::DMat4;
 use serde::Deserialize;
@@ -10,7 +10,7 @@ use relume_api::problem::FieldError;
 use relume_scene::Camera;
 use relume_train::render::FrameView;
 
-/// Pictures of files that state no size, pixels: nerfstudio's own.
+/// Image size of files without a size, pixels, as in nerfstudio.
 const SIZE: (u32, u32) = (1920, 1080);
 
 #[derive(Debug, Deserialize)]
@@ -25,19 +25,19 @@ struct CameraPath {
 struct PathEntry {
     /// Row-major, OpenGL axes.
     camera_to_world: Vec<f64>,
-    /// Vertical, degrees.
+    /// Vertical field of view, degrees.
     fov: f64,
 }
 
-/// The views of a file with `camera_path`. Without `world` its poses are taken to be in the capture's world.
+/// The views of a file with `camera_path`. Without `world` its poses are interpreted in the capture's world.
 ///
 /// # Errors
-/// Names the field.
+/// The error names the field.
 pub(super) fn views(json: &Value, world: Option<&NerfstudioWorld>) -> Result<Vec<FrameView>, FieldError> {
     let refused = |pointer: String, detail: &str| FieldError { pointer, detail: detail.to_owned() };
     let file: CameraPath = fields(json)?;
     if let Some(kind) = file.camera_type.as_deref().filter(|kind| *kind != "perspective") {
-        let detail = format!("{kind} is not supported; only perspective is");
+        let detail = format!("{kind} is not supported; must be perspective");
         return Err(refused("/camera_type".to_owned(), &detail));
     }
     let size = file.render_width.zip(file.render_height).unwrap_or(SIZE);
@@ -86,6 +86,6 @@ mod tests {
             (seen.centre() - camera.centre()).length() + (seen.forward() - camera.forward()).length()
         };
         assert!(off(Some(&world)) < 1e-9, "{}", off(Some(&world)));
-        assert!(off(None) > 0.5, "the control: left in the other world");
+        assert!(off(None) > 0.5, "the control: poses in the world of nerfstudio");
     }
 }

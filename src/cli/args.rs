@@ -6,17 +6,17 @@ use serde_json::{Map, Value};
 use relume_spec::rendering::{Quality, Tier};
 use relume_spec::training::TrainOverrides;
 
-/// The tier to render with.
+/// The rendering tier and its sampling.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct QualityArgs {
-    /// `preview`, `standard`, `high` or `monte_carlo`. Where none is given, `render` takes `standard`, `eval` `high`.
+    /// Rendering tier: `preview`, `standard`, `high` or `monte_carlo`. Default: `standard` for `render`, `high` for `eval`.
     #[arg(long, value_parser = named::<Tier>)]
     pub tier: Option<Tier>,
-    /// Directions that the Monte-Carlo tier draws for each pixel.
+    /// Directions that the Monte-Carlo tier samples per pixel.
     #[arg(long, default_value_t = Quality::SAMPLES,
           value_parser = clap::value_parser!(u32).range(1..=i64::from(Quality::MAX_SAMPLES)))]
     pub samples: u32,
-    /// Seed of those directions.
+    /// Seed of the sampled directions.
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
 }
@@ -29,19 +29,19 @@ impl Default for QualityArgs {
 }
 
 impl QualityArgs {
-    /// What was asked for, at tier `otherwise` where none was given.
+    /// The requested quality; `otherwise` is the tier if none was given.
     pub(super) fn quality(self, otherwise: Tier) -> Quality {
         Quality { tier: self.tier.unwrap_or(otherwise), samples: self.samples, seed: self.seed }
     }
 }
 
-/// A named value, spelled as in the API.
+/// Parses a named value, spelled as in the API.
 pub(super) fn named<T: DeserializeOwned>(name: &str) -> Result<T, String> {
     serde_json::from_value(Value::String(name.to_owned())).map_err(|e| e.to_string())
 }
 
-/// Overrides from flags and `--set key=value` pairs. A key may lead into a group: `weights.smoothness`. A value that is not JSON
-/// is a string. A flag wins over a pair, and a later pair over an earlier one.
+/// Overrides from flags and `--set key=value` pairs. A key may name a field of a group: `weights.smoothness`. A value that is not
+/// JSON is a string. A flag overrides a pair; a later pair overrides an earlier one.
 pub(super) fn overrides(flags: &[(&str, Option<Value>)], set: &[String]) -> Result<TrainOverrides, String> {
     let mut fields = Map::new();
     for pair in set {
@@ -58,7 +58,7 @@ pub(super) fn overrides(flags: &[(&str, Option<Value>)], set: &[String]) -> Resu
         .map_err(|e| format!("--set {}: {}", e.path(), e.inner()))
 }
 
-/// Sets `key`, a name or names with dots between them, to `value`.
+/// Sets `key`, one name or several names separated by dots, to `value`.
 fn insert(fields: &mut Map<String, Value>, key: &str, value: Value) -> Result<(), String> {
     let Some((group, rest)) = key.split_once('.') else {
         fields.insert(key.to_owned(), value);
@@ -66,7 +66,7 @@ fn insert(fields: &mut Map<String, Value>, key: &str, value: Value) -> Result<()
     };
     match fields.entry(group).or_insert_with(|| Value::Object(Map::new())) {
         Value::Object(inner) => insert(inner, rest, value),
-        _ => Err(format!("{group} has a value already and is no group")),
+        _ => Err(format!("{group} already has a value that is not a group")),
     }
 }
 

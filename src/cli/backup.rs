@@ -11,23 +11,23 @@ use crate::store;
 /// Options of `relume backup`.
 #[derive(Debug, clap::Args)]
 pub(super) struct BackupArgs {
-    /// The data directory; a server may work on it meanwhile.
+    /// The data directory. A server may run on it during the backup.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
     #[command(flatten)]
     database: DatabaseArgs,
     #[command(flatten)]
     artifacts: ArtifactsArgs,
-    /// The folder to make; it must not exist, or be empty.
+    /// The folder to create. It must not exist or must be empty.
     out: PathBuf,
 }
 
 /// Options of `relume restore`.
 #[derive(Debug, clap::Args)]
 pub(super) struct RestoreArgs {
-    /// The backup.
+    /// The backup folder.
     backup: PathBuf,
-    /// The data directory to make; it must not exist, or be empty.
+    /// The data directory to create. It must not exist or must be empty.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
 }
@@ -41,7 +41,7 @@ pub(super) fn backup(args: &BackupArgs) -> CommandResult {
     println!("{}: {} artifacts, {} bytes, verified", args.out.display(), made.artifacts, made.bytes);
     if made.without_checkpoint > 0 {
         println!(
-            "{} jobs will start over: their checkpoints were replaced while they were copied",
+            "{} jobs will restart from step 0: their checkpoints were replaced during the copy",
             made.without_checkpoint
         );
     }

@@ -1,4 +1,4 @@
-//! Where a server's metadata are, and `relume db`.
+//! Options for a server's database, and `relume db`.
 
 use std::sync::Arc;
 
@@ -7,17 +7,18 @@ use crate::jobs::{Clock, DatabaseClock, SystemClock};
 use crate::server::ServerConfig;
 use crate::store::{self, DatabaseLocation, DatabaseUrl};
 
-/// Where a server's metadata are.
+/// Options for a server's database.
 #[derive(Debug, clap::Args)]
 pub(super) struct DatabaseArgs {
-    /// `postgres://user:password@host:5432/name`: a PostgreSQL database for what is known of captures, jobs and models, in place of
-    /// a SQLite file in the data directory. Give it by RELUME_DATABASE_URL, since others see a command line.
+    /// A PostgreSQL database for the records of captures, jobs and models, in place of a SQLite file in the data directory:
+    /// `postgres://user:password@host:5432/name`. Use the variable RELUME_DATABASE_URL, because other users can read the command
+    /// line.
     #[arg(long, env = "RELUME_DATABASE_URL", hide_env_values = true, value_name = "URL")]
     pub(super) database_url: Option<DatabaseUrl>,
 }
 
 impl DatabaseArgs {
-    /// Sets a server's database, and the clock that goes with it.
+    /// Sets a server's database and the matching clock.
     pub(super) fn apply(self, config: &mut ServerConfig) {
         if self.database_url.is_some() {
             config.clock = Arc::new(DatabaseClock::new(SystemClock.now_ms()));
@@ -35,8 +36,8 @@ pub(super) struct DbArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum DbCommand {
-    /// Copy all that one database knows to another, empty one, and compare every row. Stop the server first; then start it with the
-    /// same data directory on the other.
+    /// Copy all records of a database to an empty one and compare every row. Stop the server before the copy; afterwards start it
+    /// with the same data directory and the new database.
     Copy(CopyArgs),
 }
 
@@ -44,7 +45,7 @@ enum DbCommand {
 struct CopyArgs {
     /// A data directory, for the SQLite file in it, or `postgres://user:password@host:5432/name`.
     from: DatabaseLocation,
-    /// A data directory or `postgres://...`, likewise; what it knows must be nothing.
+    /// A data directory or `postgres://user:password@host:5432/name`. It must contain no records.
     to: DatabaseLocation,
 }
 

@@ -1,7 +1,7 @@
-//! `relume demo`: the whole service on a scene whose truth is known, in one command and in a few minutes.
+//! `relume demo`: runs the whole service on a scene with known ground truth, in one command and within a few minutes.
 //!
-//! Everything a user would do goes over HTTP to a server that the demo starts: upload, train, render, download.
-//! Only the evaluation runs locally, since the server does not know the ground truth.
+//! The demo starts a server and does what a user would do over HTTP: upload, train, render, download. Only the evaluation runs
+//! locally, because the server does not have the ground truth.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -25,26 +25,26 @@ use relume_spec::training::{Preset, TrainOverrides};
 use relume_train::eval::sheet::Sheet;
 use relume_train::eval::{DisplayImage, EvalError, EvalOptions, Report, evaluate, photograph, truth_layers};
 
-/// Test views on the contact sheet, two rows each.
+/// Test views on the contact sheet, with two rows each.
 const SHEET_VIEWS: usize = 3;
-/// Side of the contact sheet's cells, pixels.
+/// Side of a cell of the contact sheet, pixels.
 const CELL: u32 = 160;
 
-/// See it work: train on a synthetic capture, relight it and measure the result against the exact truth.
+/// Demonstrate Relume: train on a synthetic capture, relight it and compare the result with the exact ground truth.
 #[derive(Debug, Clone, clap::Args)]
 pub struct DemoArgs {
-    /// Where the contact sheet, the report and the model go; made when it is not there.
+    /// The folder for the contact sheet, the report and the model. It is created if it does not exist.
     #[arg(long, value_name = "DIR", default_value = "demo-out")]
     pub out: PathBuf,
-    /// Seed of the scene's noise and of the training.
+    /// Seed of the noise in the scene and of the training.
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub seed: u64,
-    /// Training steps; the draft preset's when absent.
+    /// Training steps. Default: the number of the draft preset.
     #[arg(long, value_name = "N")]
     pub iterations: Option<u32>,
 }
 
-/// Why the demo did not reach its end.
+/// Why the demo failed.
 #[derive(Debug, thiserror::Error)]
 pub enum DemoError {
     /// A file or folder could not be written.
@@ -52,13 +52,13 @@ pub enum DemoError {
     Write {
         /// The file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// The synthetic capture could not be made.
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    /// The server did not start or end well.
+    /// The server failed to start or stop.
     #[error(transparent)]
     Serve(#[from] ServeError),
     /// A request failed.
@@ -67,32 +67,32 @@ pub enum DemoError {
     /// The training failed.
     #[error("the job ended {state}: {detail}")]
     Job {
-        /// The job's last state.
+        /// The last state of the job.
         state: &'static str,
-        /// Its reason.
+        /// The reason.
         detail: String,
     },
     /// A light could not be encoded.
     #[error(transparent)]
     Light(#[from] EnvironmentFileError),
-    /// The server sent no picture.
+    /// The server did not send a valid image.
     #[error("rendered picture: {0}")]
     Picture(#[from] image::ImageError),
-    /// The server sent no model.
+    /// The server did not send a valid model.
     #[error(transparent)]
     Model(#[from] ModelFileError),
-    /// The model could not be measured.
+    /// The evaluation of the model failed.
     #[error(transparent)]
     Eval(#[from] EvalError),
     /// A computation panicked.
-    #[error("a computation was cut off: {0}")]
+    #[error("a computation panicked: {0}")]
     Join(#[from] tokio::task::JoinError),
 }
 
-/// Runs the demo and prints what it does and finds.
+/// Runs the demo and prints its steps and results.
 ///
 /// # Errors
-/// [`DemoError`] says which step failed.
+/// [`DemoError`] names the failed step.
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     let begin = Instant::now();
     let runtime = tokio::runtime::Runtime::new().map_err(ServeError::from)?;
@@ -101,15 +101,15 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     Ok(())
 }
 
-/// The whole demo, from the ground truth to the report; prints each step when it begins.
+/// Runs the whole demo, from the ground truth to the report. Prints each step when it begins.
 ///
 /// # Errors
-/// [`DemoError`] says which step failed.
+/// [`DemoError`] names the failed step.
 pub async fn demo(args: &DemoArgs) -> Result<Report, DemoError> {
     let failed = |source| DemoError::Write { path: args.out.clone(), source };
     std::fs::create_dir_all(&args.out).map_err(failed)?;
 
-    println!("1/5 drawing a synthetic capture with exact truth");
+    println!("1/5 rendering a synthetic capture with exact ground truth");
     let options = SyntheticOptions { seed: args.seed, ..SyntheticOptions::default() };
     let (capture, archive) = tokio::task::spawn_blocking(move || -> Result<_, CaptureError> {
         let capture = synthetic(&options)?;
@@ -122,14 +122,14 @@ pub async fn demo(args: &DemoArgs) -> Result<Report, DemoError> {
     println!("2/5 uploading {} kB to {}", archive.len() / 1024, server.client().base());
     let uploaded = server.client().upload_capture_bytes(archive).await?;
     let report = show(server.client(), &uploaded.id, capture, args).await;
-    // The server is stopped in any case; the first failure is the one to report.
+    // The server is stopped in all cases; the first error is returned.
     let stopped = server.stop().await;
     let report = report?;
     stopped?;
     Ok(report)
 }
 
-/// Everything between upload and summary.
+/// All steps between upload and summary.
 async fn show(
     client: &Client,
     capture_id: &CaptureId,
@@ -141,7 +141,7 @@ async fn show(
     let sheet = contact_sheet(client, &model, &capture).await?;
     write(&args.out.join("contact_sheet.png"), &sheet.to_png(CELL)?)?;
 
-    println!("5/5 measuring against the truth, every held-out view under every light");
+    println!("5/5 comparing with the ground truth, every held-out view under every light");
     let bytes = client.file(&model, "model.safetensors").await?;
     write(&args.out.join("model.safetensors"), &bytes)?;
     let mut report = tokio::task::spawn_blocking(move || measure(&bytes, &capture)).await??;
@@ -151,7 +151,7 @@ async fn show(
     Ok(report)
 }
 
-/// Queues the training and follows it; the model's identifier and how long the job ran, seconds.
+/// Queues the training and follows it. Returns the model's identifier and the duration of the job, seconds.
 async fn train(
     client: &Client,
     capture: &CaptureId,
@@ -167,12 +167,12 @@ async fn train(
     bar.finish();
     let failed = || DemoError::Job {
         state: job.state.name(),
-        detail: job.error.as_ref().map_or_else(|| "it left no model".to_owned(), |e| e.detail.clone()),
+        detail: job.error.as_ref().map_or_else(|| "the job has no model".to_owned(), |e| e.detail.clone()),
     };
     Ok((job.model.clone().ok_or_else(failed)?, seconds_between(&job.started_at, &job.finished_at)))
 }
 
-/// Seconds between two RFC 3339 times, when both are there.
+/// Seconds between two RFC 3339 times, if both are given.
 fn seconds_between(from: &Option<String>, to: &Option<String>) -> Option<f64> {
     let parse = |time: &Option<String>| time.as_ref()?.parse::<jiff::Timestamp>().ok();
     Some(parse(to)?.duration_since(parse(from)?).as_secs_f64())
@@ -198,7 +198,7 @@ fn show_event(bar: &ProgressBar, event: &JobEvent) {
     }
 }
 
-/// Two rows a view: what the service renders, and the truth.
+/// Two rows per view: the render of the service, and the ground truth.
 async fn contact_sheet(client: &Client, model: &ModelId, capture: &Capture) -> Result<Sheet, DemoError> {
     let lights = upload_lights(client, capture).await?;
     let mut columns = vec!["input".to_owned()];
@@ -221,12 +221,12 @@ async fn contact_sheet(client: &Client, model: &ModelId, capture: &Capture) -> R
         truth.extend(lights.iter().map(|(name, _)| view.truth.relit.get(*name).map(photograph)));
         truth.extend(truth_layers(view));
         sheet.push(format!("{}: recovered by Relume", view.name), rendered);
-        sheet.push(format!("{}: truth", view.name), truth);
+        sheet.push(format!("{}: ground truth", view.name), truth);
     }
     Ok(sheet)
 }
 
-/// The truth's lights as environments of the server: name and identifier.
+/// Uploads the lights of the ground truth as environments. Returns name and identifier of each.
 async fn upload_lights<'a>(
     client: &Client,
     capture: &'a Capture,
@@ -239,7 +239,7 @@ async fn upload_lights<'a>(
     Ok(lights)
 }
 
-/// One output of one view from the render endpoint, on white; under the recovered light when none is named.
+/// One output of one view from the render endpoint, on white. The light is the recovered light unless one is given.
 async fn frame(
     client: &Client,
     model: &ModelId,
@@ -266,7 +266,7 @@ async fn frame(
     Ok(DisplayImage { width: image.width(), height: image.height(), values })
 }
 
-/// A layer without alpha of its own, on white by the frame's coverage.
+/// A layer without its own alpha, composited on white by the coverage of the frame.
 fn cut_out(layer: &DisplayImage, coverage: &DisplayImage) -> DisplayImage {
     let pixel = |(c, a): (&[f32; 3], &[f32; 3])| std::array::from_fn(|k| c[k] * a[k] + 1.0 - a[k]);
     DisplayImage { values: layer.values.iter().zip(&coverage.values).map(pixel).collect(), ..*layer }
@@ -291,12 +291,12 @@ fn summary(report: &Report, out: &Path, took: Duration) {
     println!("novel views            {} dB", figure(report.novel_view.psnr));
     println!("albedo, aligned        {} dB", figure(report.albedo.psnr_aligned));
     println!("normals                {} degrees off", figure(report.normal_mae_deg.foreground));
-    println!("{} Gaussians, {:.0} s in all", report.gaussians, took.as_secs_f64());
+    println!("{} Gaussians, {:.0} s in total", report.gaussians, took.as_secs_f64());
     println!();
     for (file, what) in [
-        ("contact_sheet.png", "what it looks like"),
-        ("report.md", "every figure and how it was measured"),
-        ("report.json", "the same for programs"),
+        ("contact_sheet.png", "photographs, renders and layers side by side"),
+        ("report.md", "all figures and how they were measured"),
+        ("report.json", "the report as JSON"),
         ("model.safetensors", "the model"),
     ] {
         println!("{}  {what}", out.join(file).display());

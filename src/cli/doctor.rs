@@ -1,5 +1,5 @@
-//! `relume doctor`: this machine's devices, which one will be used and why, whether the service can run, and whether what it has
-//! stored is sound.
+//! `relume doctor`: lists the devices of this machine, shows which one the service uses and why, and checks whether the service
+//! can run and whether its stored data are intact.
 
 use std::path::{Path, PathBuf};
 
@@ -12,14 +12,14 @@ use relume_engine::{AdapterReport, Device, DeviceChoice, adapters, choose_adapte
 /// Options of `relume doctor`.
 #[derive(Debug, clap::Args)]
 pub(super) struct DoctorArgs {
-    /// The data directory to look at.
+    /// The data directory to check.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
     #[command(flatten)]
     artifacts: ArtifactsArgs,
     #[command(flatten)]
     database: DatabaseArgs,
-    /// The device to look for: `auto`, `cpu`, `gpu` or `gpu:N`.
+    /// The device to check: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
 }
@@ -47,12 +47,14 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
         println!("self-test     passed");
     }
     if faults > 0 {
-        return Err(format!("{}: {faults} faults, see above", args.data_dir.display()).into());
+        return Err(
+            format!("{}: {faults} faults found; they are listed above", args.data_dir.display()).into()
+        );
     }
     Ok(())
 }
 
-/// Says what is stored in a data directory and what is wrong with it; the number of faults.
+/// Prints a summary of the stored data and their faults. Returns the number of faults.
 fn check_stored_data(args: &DoctorArgs) -> CommandResult<usize> {
     let (path, url, place) = (&args.data_dir, args.database.database_url.as_ref(), args.artifacts.place());
     if url.is_none() && !path.exists() {
@@ -65,11 +67,9 @@ fn check_stored_data(args: &DoctorArgs) -> CommandResult<usize> {
         None if found.faults.is_empty() => println!("database      none yet"),
         None => println!("database      cannot be used"),
     }
-    println!("artifacts     {} named by the database, {} not", found.artifacts, found.orphans.len());
+    println!("artifacts     {} referenced by the database, {} not", found.artifacts, found.orphans.len());
     found.orphans.iter().for_each(|key| {
-        println!(
-            "left over     artifacts/{key}: nothing refers to it; the next start of the server takes it away"
-        );
+        println!("orphan        artifacts/{key}: not referenced; the server deletes it at a start");
     });
     found.faults.iter().for_each(|fault| println!("fault         {fault}"));
     Ok(found.faults.len())
@@ -97,20 +97,20 @@ fn describe(r: &AdapterReport) {
     r.lacks.iter().for_each(|what| println!("              cannot be used: {what}"));
 }
 
-/// The device that will be used, and why.
+/// The device that will be used, and the reason.
 fn explain_choice(choice: DeviceChoice, chosen: Option<usize>, reports: &[AdapterReport]) -> String {
     match (choice, chosen) {
         (_, Some(index)) => format!("gpu:{index} ({choice})"),
-        (DeviceChoice::Cpu, None) => "cpu (as asked)".to_owned(),
-        _ if reports.is_empty() => "cpu (there is no GPU)".to_owned(),
+        (DeviceChoice::Cpu, None) => "cpu (as requested)".to_owned(),
+        _ if reports.is_empty() => "cpu (no GPU found)".to_owned(),
         _ if reports.iter().all(|r| r.software) => {
-            "cpu (a software GPU is slower than the CPU engine; gpu:N takes it all the same)".to_owned()
+            "cpu (a software GPU is slower than the CPU engine; gpu:N selects it anyway)".to_owned()
         }
-        _ => "cpu (no GPU has what the engine needs)".to_owned(),
+        _ => "cpu (no GPU meets the requirements of the engine)".to_owned(),
     }
 }
 
-/// Instruction sets that the CPU engine has code for.
+/// Instruction sets for which the CPU engine has code.
 #[cfg(target_arch = "x86_64")]
 fn features() -> Vec<&'static str> {
     let known = [
@@ -123,13 +123,13 @@ fn features() -> Vec<&'static str> {
     known.into_iter().filter_map(|(name, there)| there.then_some(name)).collect()
 }
 
-/// Instruction sets that the CPU engine has code for.
+/// Instruction sets for which the CPU engine has code.
 #[cfg(not(target_arch = "x86_64"))]
 fn features() -> Vec<&'static str> {
     vec![std::env::consts::ARCH]
 }
 
-/// Opens a database with the service's schema in a temporary folder.
+/// Opens a database with the schema of the service in a temporary folder.
 fn database_version() -> CommandResult<String> {
     let folder = tempfile::tempdir()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -141,7 +141,7 @@ fn database_version() -> CommandResult<String> {
     })?)
 }
 
-/// Whether files can be written to the directory, or to the nearest folder above it that exists.
+/// Checks whether files can be written to the directory, or to its nearest existing ancestor.
 fn data_dir(path: &Path) -> CommandResult<String> {
     let absolute = std::path::absolute(path)?;
     let there = absolute.ancestors().find(|p| p.exists()).unwrap_or(Path::new("/"));

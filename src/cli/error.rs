@@ -1,14 +1,14 @@
-//! What a command returns, and the exit codes of the program.
+//! The result type of commands, and the exit codes of the program.
 
 /// Any error.
 pub(super) type BoxError = Box<dyn std::error::Error + Send + Sync>;
 
-/// The result of a command; the error is printed on standard error.
+/// The result of a command. An error is printed on standard error.
 pub(super) type CommandResult<T = ()> = Result<T, BoxError>;
 
-/// The exit code of what was stopped and can go on, EX_TEMPFAIL of sysexits.h; schedulers run such a job again.
+/// The exit code of a command that was stopped and can continue: EX_TEMPFAIL of sysexits.h. Schedulers restart such a job.
 pub(super) const STOPPED: u8 = 75;
 
-/// The end of `--help`.
-pub(super) const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 wrong usage; 75 stopped before the end, what was done is kept: \
-    run it again to go on.";
+/// The last paragraph of `--help`.
+pub(super) const EXIT_CODES: &str = "Exit codes: 0 success; 1 failure; 2 invalid usage; 75 stopped before the end, progress is saved: \
+    run the command again to continue.";

@@ -1,4 +1,4 @@
-//! `relume eval`: compares a model file with a capture's ground truth.
+//! `relume eval`: compares a model with the ground truth of a capture.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,52 +14,52 @@ use relume_engine::Device;
 use relume_engine::DeviceChoice;
 use relume_train::eval::{EvalOptions, Lpips, contact_sheet, evaluate};
 
-/// Side of a contact sheet's cells, pixels.
+/// Side of a cell of the contact sheet, pixels.
 const CELL: u32 = 200;
-/// Views on a contact sheet.
+/// Number of views on the contact sheet.
 const SHEET_ROWS: usize = 4;
 
-/// Measure a model against a capture's held-out views and ground truth.
+/// Compare a model with the held-out views and the ground truth of a capture.
 #[derive(Debug, clap::Args)]
 pub struct EvalArgs {
     /// The model file.
     pub model: PathBuf,
-    /// The capture: a folder or an archive, with held-out views.
+    /// The capture with held-out views: a folder or an archive.
     #[arg(long, value_name = "DIR")]
     pub capture: PathBuf,
-    /// Write the report as JSON.
+    /// Write the report as JSON to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// Write the report as Markdown; it is printed in any case.
+    /// Write the report as Markdown to this file. The report is also printed.
     #[arg(long, value_name = "FILE")]
     pub markdown: Option<PathBuf>,
-    /// Write a contact sheet as PNG.
+    /// Write a contact sheet as PNG to this file.
     #[arg(long, value_name = "FILE")]
     pub sheet: Option<PathBuf>,
-    /// LPIPS v0.1 AlexNet weights (safetensors); without them LPIPS is left out and the report says so.
+    /// LPIPS v0.1 AlexNet weights (safetensors). Without them, LPIPS is omitted and the report states this.
     #[arg(long, value_name = "WEIGHTS", env = "RELUME_LPIPS_WEIGHTS")]
     pub lpips: Option<PathBuf>,
-    /// Longest side in pixels to compare at; the stored size when absent.
+    /// Longest side for the comparison, pixels. Default: the stored size.
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=8192))]
     pub resolution: Option<u32>,
-    /// Turns of the light in single photographs, as given to `train`.
+    /// Rotations of the light in single photographs, as for `train`.
     #[arg(long, value_name = "FILE")]
     pub light_rotations: Option<PathBuf>,
-    /// Where to render: `auto`, `cpu`, `gpu` or `gpu:N`.
+    /// Device: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value_t)]
     pub device: DeviceChoice,
     /// The tier to compare.
     #[command(flatten)]
     pub quality: QualityArgs,
-    /// Compare only this many held-out views, evenly spaced.
+    /// Compare only this number of held-out views, evenly spaced. Default: all.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub views: Option<u32>,
 }
 
-/// Evaluates, prints the Markdown report and writes what was asked for.
+/// Evaluates, prints the Markdown report and writes the requested files.
 ///
 /// # Errors
-/// Names the file at fault. Output folders are made before the work begins.
+/// The error names the affected file. The folders of the output files are created before the evaluation.
 pub fn run(args: &EvalArgs) -> CommandResult {
     [&args.json, &args.markdown, &args.sheet].into_iter().flatten().try_for_each(|f| make_folder(f))?;
     let model = Arc::new(input::read_model(&args.model)?);
@@ -114,7 +114,7 @@ fn progress_bar() -> ProgressBar {
     ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
-/// Makes the folder of an output before the work begins, so that a wrong path is known early.
+/// Creates the folder of an output file before the evaluation, so that an invalid path fails early.
 fn make_folder(file: &Path) -> Result<(), String> {
     let Some(folder) = file.parent().filter(|p| !p.as_os_str().is_empty()) else { return Ok(()) };
     std::fs::create_dir_all(folder).map_err(|error| format!("{}: {error}", file.display()))

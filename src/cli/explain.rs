@@ -1,4 +1,4 @@
-//! `relume explain`: the model card as text.
+//! `relume explain`: prints the model card as text.
 
 use std::path::PathBuf;
 
@@ -24,7 +24,7 @@ pub(super) fn run(args: &ExplainArgs) -> CommandResult {
     Ok(())
 }
 
-/// The text of a string, or the JSON of another value.
+/// The text of a string, or the JSON of any other value.
 fn plain(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
@@ -34,7 +34,7 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
     let text = |key: &str| card.get(key).filter(|v| !v.is_null()).map_or("unknown".to_owned(), plain);
     let floats = model_file::floats_a_gaussian(model);
     let mut out = vec![
-        format!("{} Gaussians of {floats} floats each, {:.1} kB in all", g.len(), bytes as f64 / 1e3),
+        format!("{} Gaussians of {floats} floats each, {:.1} kB in total", g.len(), bytes as f64 / 1e3),
         format!(
             "{} albedo prototypes; visibility {:?} of degree {}; radiance of degree {}; indirect light {:?}",
             g.prototypes(),
@@ -77,18 +77,18 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
     out
 }
 
-/// The numbers of a list, to two decimals.
+/// The numbers of a list, with two decimals.
 fn numbers(list: Option<&Value>) -> String {
     let numbers = list.and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_f64);
     numbers.map(|v| format!("{v:.2}")).collect::<Vec<_>>().join(", ")
 }
 
-/// What the card says of the light of the photographs.
+/// The light of the photographs, according to the card.
 fn light(card: &Value) -> Vec<String> {
     let Some(light) = card.get("light") else { return Vec::new() };
     let from = match light.get("colour_from").and_then(Value::as_str) {
         Some("light") => "of the known light",
-        Some("white_balance") => "as was stated",
+        Some("white_balance") => "from the given white balance",
         _ => "estimated from how colours change with the view, to about 20 % in blue over red",
     };
     let mut out = vec![format!("light of colour {} at the start, {from}", numbers(light.get("colour")))];
@@ -98,35 +98,35 @@ fn light(card: &Value) -> Vec<String> {
             Some(gain) => {
                 format!("sharp shadows explain colours {:.0} % better than soft ones", 100.0 * gain)
             }
-            None => "in the map that was given".to_owned(),
+            None => "in the given environment map".to_owned(),
         };
         let towards = numbers(found.get("direction"));
-        out.push(format!("a light of its own towards {towards}, {radius:.1} degrees in radius; {evidence}"));
+        out.push(format!("dominant light towards {towards}, radius {radius:.1} degrees; {evidence}"));
     }
     out
 }
 
-/// What the card says of the exposures of the photographs.
+/// The exposures of the photographs, according to the card.
 fn exposures(card: &Value) -> Option<String> {
     let spread = card.pointer("/exposures/spread")?;
     let percent = |key: &str| 100.0 * spread.get(key).and_then(Value::as_f64).unwrap_or_default();
     Some(format!(
-        "exposures of the photographs scattered by {:.0} % (standard deviation), red over green by {:.0} %, blue over green by {:.0} %; they were brought to their mean",
+        "standard deviation of the exposures {:.0} %, of red over green {:.0} %, of blue over green {:.0} %; the photographs were normalised to the mean",
         percent("green"),
         percent("red_over_green"),
         percent("blue_over_green")
     ))
 }
 
-/// What the card says of the part of the photographs that became the model.
+/// The crop of the photographs, according to the card.
 fn crop(card: &Value) -> Option<String> {
     let ball = card.pointer("/crop/ball")?;
     let ground = card.pointer("/crop/is_on_ground").and_then(Value::as_bool).unwrap_or_default();
-    let part = if ground { "what stands on the ground in " } else { "" };
+    let part = if ground { "the object on the ground in " } else { "" };
     Some(format!("cropped to {part}the ball (x, y, z, radius) {}", numbers(Some(ball))))
 }
 
-/// The card's decisions, a sentence each.
+/// The decisions in the card, one line each.
 pub(super) fn findings(card: &Value) -> Vec<String> {
     let all = card.pointer("/complexity/findings").and_then(Value::as_array);
     all.into_iter().flatten().map(sentence).collect()
@@ -136,7 +136,7 @@ fn sentence(finding: &Value) -> String {
     let text = |key: &str| finding.get(key).map_or(String::new(), plain);
     let (setting, step, was, is) = (text("setting"), text("step"), text("was"), text("is"));
     if finding.get("forced").and_then(Value::as_bool) == Some(true) {
-        return format!("{setting}: {is}, as was asked for (step {step})");
+        return format!("{setting}: {is}, as requested (step {step})");
     }
     let change = if was == is { format!("stays {is}") } else { format!("{was} -> {is}") };
     let evidence = finding.get("evidence").and_then(Value::as_object);
@@ -159,10 +159,10 @@ mod tests {
         assert!(printed[0].starts_with("light of colour 1.00, 1.02, 0.98 at the start, estimated"));
         assert_eq!(
             printed[1],
-            "a light of its own towards 0.00, 0.60, 0.80, 0.3 degrees in radius; sharp shadows explain colours 35 % better \
+            "dominant light towards 0.00, 0.60, 0.80, radius 0.3 degrees; sharp shadows explain colours 35 % better \
              than soft ones"
         );
-        assert!(light(&Value::Null).is_empty(), "older cards say nothing");
+        assert!(light(&Value::Null).is_empty(), "cards without light print nothing");
     }
 
     #[test]
@@ -172,7 +172,7 @@ mod tests {
                 .unwrap()
         };
         assert_eq!(printed(false), "cropped to the ball (x, y, z, radius) 1.00, -2.00, 0.50, 3.25");
-        assert!(printed(true).contains("what stands on the ground in the ball"));
+        assert!(printed(true).contains("the object on the ground in the ball"));
         assert_eq!(crop(&serde_json::json!({"crop": null})), None);
     }
 
@@ -185,7 +185,7 @@ mod tests {
         ]}});
         let printed = findings(&card);
         assert_eq!(printed[0], "visibility: degree 4 -> off at step 9; ao error off 0.01");
-        assert_eq!(printed[1], "radiance: degree 1, as was asked for (step 9)");
+        assert_eq!(printed[1], "radiance: degree 1, as requested (step 9)");
         assert!(findings(&Value::Null).is_empty(), "a card without decisions has none");
     }
 }

@@ -1,4 +1,4 @@
-//! `relume export`: a model file in, a file for other programs out.
+//! `relume export`: converts a model into a file for other programs.
 
 use std::path::{Path, PathBuf};
 
@@ -16,33 +16,33 @@ use relume_train::render::{MeshOptions, SplatFile, encode_mesh_file, encode_spla
 pub(super) struct ExportArgs {
     /// The model file.
     model: PathBuf,
-    /// The file to write: `.ply`, `.glb` (glTF with KHR_gaussian_splatting), `.usda` or `.usdz` (OpenUSD); or `.hdr`, the light of
-    /// the photographs.
+    /// The file to write. The ending selects the format: `.ply`, `.glb` (glTF with KHR_gaussian_splatting), `.usda` or `.usdz`
+    /// (OpenUSD), or `.hdr` (the recovered light).
     #[arg(long, default_value = "model.ply")]
     out: PathBuf,
-    /// The surface as triangles with textures of base colour, metalness and roughness instead of Gaussians; a `.glb`.
+    /// Write a `.glb` with the surface as triangles and textures of base colour, metalness and roughness, instead of Gaussians.
     #[arg(long, conflicts_with_all = ["layer", "env", "flatten"])]
     mesh: bool,
-    /// Cells of the grid behind that mesh along the model's world, 16 to 512.
+    /// Grid cells along the model's world from which the mesh is made, 16 to 512.
     #[arg(long, default_value_t = MeshOptions::default().cells as u32, value_parser = clap::value_parser!(u32).range(16..=512))]
     mesh_cells: u32,
-    /// What the colour of the Gaussians shows: `radiance` (the photographs), `relit` (see `--env`), `albedo`, `normal`,
-    /// `roughness` or `metallic`. With it a `.ply` is an ordinary file of splats; without, it has the materials as well.
+    /// The colour of the Gaussians: `radiance` (as in the photographs), `relit` (see `--env`), `albedo`, `normal`, `roughness` or
+    /// `metallic`. With this option a `.ply` is a standard file of splats; without it, the `.ply` also has the materials.
     #[arg(long, value_parser = named::<ExportedColour>)]
     layer: Option<ExportedColour>,
     /// The light of `relit`: a `.hdr` or `.exr` file, the name of a built-in map, or `recovered`.
     #[arg(long)]
     env: Option<String>,
-    /// Turn of that light about +Z, degrees counter-clockwise.
+    /// Rotation of this light about +Z, degrees counter-clockwise.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite, requires = "env")]
     rotation: f64,
-    /// Exposure of that light, stops, -20 to 20.
+    /// Exposure of this light, stops, -20 to 20.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = up_to::<20>, requires = "env")]
     exposure: f64,
-    /// SH degree of `relit`, 0 to 3: how much of the highlights follows the camera.
+    /// SH degree of the colours of `relit`, 0 to 3. Higher degrees keep more view dependence of highlights.
     #[arg(long, default_value_t = MAX_BAKED_DEGREE as u32, value_parser = clap::value_parser!(u32).range(0..=MAX_BAKED_DEGREE as i64))]
     relit_degree: u32,
-    /// Turn each Gaussian until its shortest axis is its shading normal, for programs that take that axis for the normal.
+    /// Rotate each Gaussian until its shortest axis is its shading normal, for programs that use this axis as the normal.
     #[arg(long)]
     flatten: bool,
 }
@@ -51,7 +51,11 @@ pub(super) fn run(args: &ExportArgs) -> CommandResult {
     let (kind, shown) = (kind(&args.out)?, args.shown()?);
     let mut model = input::read_model(&args.model)?;
     if !model.has_materials() && shown != ExportedColour::Radiance {
-        return Err(format!("{}: has no materials, only `--layer radiance`", args.model.display()).into());
+        return Err(format!(
+            "{}: the model has no materials; only `--layer radiance` is available",
+            args.model.display()
+        )
+        .into());
     }
     if shown == ExportedColour::Relit {
         model = args.relit(model)?;
@@ -68,11 +72,11 @@ impl ExportArgs {
             (Some(shown), None) => Ok(shown),
             (Some(ExportedColour::Relit) | None, Some(_)) => Ok(ExportedColour::Relit),
             (None, None) => Ok(ExportedColour::Radiance),
-            (Some(_), Some(_)) => Err("--env: only `--layer relit` has a light".to_owned()),
+            (Some(_), Some(_)) => Err("--env: requires `--layer relit`".to_owned()),
         }
     }
 
-    /// The model with the colours it has under the light that is asked for.
+    /// The model with its colours under the requested light.
     fn relit(&self, model: Model) -> CommandResult<Model> {
         let light = match self.env.as_deref() {
             None | Some("recovered") => model.recovered_light(),
@@ -84,7 +88,7 @@ impl ExportArgs {
 
     fn encode_mesh(&self, kind: SplatFile, model: Model) -> CommandResult<Vec<u8>> {
         if kind != SplatFile::Glb {
-            return Err("--mesh: only a .glb holds a mesh".into());
+            return Err("--mesh: a mesh can only be written to a .glb".into());
         }
         if !model.has_materials() {
             return Err("--mesh: the model has no materials".into());

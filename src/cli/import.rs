@@ -1,4 +1,4 @@
-//! `relume import`: a PLY of Gaussians in, a model file out.
+//! `relume import`: converts a PLY of Gaussians into a model file.
 
 use std::path::PathBuf;
 
@@ -8,16 +8,16 @@ use crate::cli::{input, output};
 use relume_capture::formats::{model_file, ply_import};
 use relume_scene::softplus_inverse;
 
-/// Columns and rows of the light that a model gets.
+/// Columns and rows of the environment map that the model gets.
 const LIGHT_SIZE: (usize, usize) = (64, 32);
 
 /// Options of `relume import`.
 #[derive(Debug, clap::Args)]
 pub(super) struct ImportArgs {
-    /// A `.ply` of Gaussians: one that `relume export` wrote, or an ordinary one of any program.
+    /// A `.ply` of Gaussians, written by `relume export` or by another program.
     file: PathBuf,
-    /// The light that the model shall have for its own: a `.hdr` or `.exr` file or the name of a built-in map. White from
-    /// everywhere when absent, for a PLY holds none.
+    /// The environment map of the model: a `.hdr` or `.exr` file or the name of a built-in map. Default: uniform white, because a
+    /// PLY has no light.
     #[arg(long)]
     env: Option<String>,
     /// The model file to write.
@@ -35,7 +35,7 @@ pub(super) fn run(args: &ImportArgs) -> CommandResult {
         (model.env_width, model.env_height) = LIGHT_SIZE;
     }
     output::write_named(&args.out, &model_file::encode(&model)?)?;
-    let what = if model.has_materials() { "materials" } else { "colour alone, which cannot be relit" };
+    let what = if model.has_materials() { "materials" } else { "colours only, which cannot be relit" };
     eprintln!("wrote {}: {} Gaussians with {what}", args.out.display(), model.gaussians.len());
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! Files that commands read, with errors that name the file.
+//! Reading of input files, with errors that name the file.
 
 use std::path::Path;
 
@@ -8,17 +8,17 @@ use serde_json::Value;
 use relume_capture::formats::model_file;
 use relume_scene::Model;
 
-/// The bytes of a file.
+/// Reads the bytes of a file.
 pub(super) fn read(path: &Path) -> Result<Vec<u8>, String> {
     std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))
 }
 
-/// The model in a model file.
+/// Reads the model in a model file.
 pub(super) fn read_model(path: &Path) -> Result<Model, String> {
     model_file::decode(&read(path)?).map_err(|error| format!("{}: {error}", path.display()))
 }
 
-/// A value of a JSON file; an error names the field.
+/// Deserialises JSON. An error names the field.
 pub(super) fn from_json<T: DeserializeOwned>(json: Value) -> Result<T, String> {
     serde_path_to_error::deserialize(json).map_err(|e| format!("{}: {}", e.path(), e.inner()))
 }

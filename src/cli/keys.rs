@@ -1,4 +1,4 @@
-//! `relume keys`: API keys in a data directory, on which a server may run meanwhile.
+//! `relume keys`: manages the API keys in a data directory. A server may run on it at the same time.
 
 use std::path::{Path, PathBuf};
 
@@ -21,20 +21,21 @@ pub(super) struct KeysArgs {
 
 #[derive(Debug, Subcommand)]
 enum KeysCommand {
-    /// Make a key and print it: this is the only time that it is shown.
+    /// Create a key and print it. The key is shown only once.
     Create(CreateArgs),
-    /// List keys, revoked and expired ones too.
+    /// List keys, including revoked and expired ones.
     List(KeyStoreArgs),
-    /// Refuse a key, and those that it made, from now on.
+    /// Revoke a key, and the keys that were created with it.
     Revoke(RevokeArgs),
-    /// End all signed URLs that were made so far.
+    /// Invalidate all signed URLs that exist.
     EndSignedUrls(KeyStoreArgs),
 }
 
-/// Where the keys are.
+/// Options for the location of the keys.
 #[derive(Debug, Args)]
 struct KeyStoreArgs {
-    /// The server's data directory. Run this as the server's user: what it makes has to be the server's.
+    /// The server's data directory. Run this command as the user of the server, so that the server owns the files that it
+    /// creates.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
     #[command(flatten)]
@@ -45,16 +46,17 @@ struct KeyStoreArgs {
 struct CreateArgs {
     #[command(flatten)]
     key_store: KeyStoreArgs,
-    /// A name for people.
+    /// A descriptive name for the key.
     #[arg(long)]
     name: String,
-    /// Whose it is: tenants share nothing. Administrators of `default` manage the keys of all.
+    /// Tenant of the key. Tenants cannot see resources of each other. Administrators of `default` manage the keys of all tenants.
     #[arg(long, default_value = "default")]
     tenant: String,
-    /// What it may do: `read`, `render`, `submit`, `admin`, `priority`, and for `default` `metrics`; several with commas.
+    /// Scopes of the key, separated by commas: `read`, `render`, `submit`, `admin`, `priority`; in the tenant `default` also
+    /// `metrics`.
     #[arg(long, value_delimiter = ',', default_value = "read,render,submit")]
     scopes: Vec<Scope>,
-    /// Days until it expires; never where absent.
+    /// Days until the key expires. Default: never.
     #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u64).range(1..=3650))]
     expires_in_days: Option<u64>,
 }
@@ -63,7 +65,7 @@ struct CreateArgs {
 struct RevokeArgs {
     #[command(flatten)]
     key_store: KeyStoreArgs,
-    /// Its identifier, as `relume keys list` shows it.
+    /// Identifier of the key, as printed by `relume keys list`.
     id: String,
 }
 
@@ -97,7 +99,7 @@ async fn create(args: CreateArgs) -> CommandResult {
     let store = open(&data_dir, url).await.map_err(|error| format!("{}: {error}", data_dir.display()))?;
     let (made, secret) = store.create_key(&record, now_ms).await?;
     store.close().await;
-    eprintln!("key {} of tenant {} in {}, shown this once:", made.id, made.tenant, data_dir.display());
+    eprintln!("key {} of tenant {} in {}, shown only once:", made.id, made.tenant, data_dir.display());
     println!("{secret}");
     Ok(())
 }
@@ -145,12 +147,12 @@ async fn revoke(store: &Store, id: &KeyId) -> CommandResult {
     let (key, took_along) = revoked.ok_or_else(|| format!("no key {id:?}", id = id.as_str()))?;
     eprintln!("key {} is revoked", key.id);
     for other in took_along {
-        eprintln!("key {other}, which came of it, is revoked");
+        eprintln!("key {other}, which was created with it, is revoked");
     }
     Ok(())
 }
 
-/// The store of a data directory or a database that is there.
+/// Opens the store of an existing data directory or database.
 async fn existing(key_store: &KeyStoreArgs) -> CommandResult<Store> {
     let (data_dir, url) = (&key_store.data_dir, key_store.database.database_url.as_ref());
     let database = data_dir.join("relume.db");
@@ -162,7 +164,7 @@ async fn existing(key_store: &KeyStoreArgs) -> CommandResult<Store> {
     open(data_dir, url).await
 }
 
-/// The store of a data directory: brought up to date where no server runs on it, as it is where one does.
+/// Opens the store of a data directory. Migrates it if no server runs on it; otherwise opens it as it is.
 async fn open(data_dir: &Path, url: Option<&DatabaseUrl>) -> CommandResult<Store> {
     match DataDirLock::acquire(data_dir) {
         Ok(_until_it_is_open) => Ok(Store::open_with(data_dir, url).await?),

@@ -1,4 +1,4 @@
-//! Lights by their names on the command line.
+//! Lights on the command line.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -9,8 +9,8 @@ use relume_capture::{BUILTIN, Capture, builtin};
 use relume_scene::EnvMap;
 use relume_spec::training::TrainConfig;
 
-/// A built-in map or the contents of a `.hdr` or `.exr` file. The error lists the allowed names; `others` are further
-/// ones that the caller accepts.
+/// A built-in map, or the contents of a `.hdr` or `.exr` file. The error lists the allowed names; `others` are additional names
+/// that the caller accepts.
 pub(super) fn named_light(name: &str, others: &str) -> Result<EnvMap, String> {
     if let Some(map) = builtin(name) {
         return Ok(map);
@@ -25,14 +25,14 @@ pub(super) fn named_light(name: &str, others: &str) -> Result<EnvMap, String> {
     Ok(loaded.map)
 }
 
-/// Turns of the light by photograph, degrees, from a JSON object.
+/// Reads rotations of the light per photograph, degrees, from a JSON object.
 pub(super) fn read_rotations(file: &Path) -> Result<BTreeMap<String, f64>, String> {
     let named = |error: &dyn Display| format!("{}: {error}", file.display());
     let text = std::fs::read(file).map_err(|error| named(&error))?;
     serde_json::from_slice(&text).map_err(|error| named(&error))
 }
 
-/// Sets the measured light of `capture` that `config` names, if it names one.
+/// Sets the measured light of `capture`, if `config` names one.
 pub(super) fn illuminate(capture: &mut Capture, config: &TrainConfig) -> Result<(), String> {
     if let Some(known) = &config.light {
         relume_train::illuminate(known, capture, named_light(&known.environment, "")?);

@@ -1,4 +1,4 @@
-//! What a process says of itself while it runs: a log, and traces where they are asked for.
+//! Starts the log of the process and, if configured, its traces.
 
 use std::io::IsTerminal;
 
@@ -9,12 +9,12 @@ use tracing_subscriber::{EnvFilter, Layer, Registry, fmt};
 #[cfg(feature = "otlp")]
 use crate::cli::traces;
 
-/// The variables of OpenTelemetry that name a collector.
+/// The OpenTelemetry variables that name a collector.
 const COLLECTORS: [&str; 2] = ["OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"];
 
 type AnyLayer = Box<dyn Layer<Registry> + Send + Sync>;
 
-/// The traces of this process.
+/// The trace sender of this process.
 #[derive(Default)]
 pub(super) struct Traces {
     #[cfg(feature = "otlp")]
@@ -22,7 +22,7 @@ pub(super) struct Traces {
 }
 
 impl Traces {
-    /// Sends what waits. To be called when nothing is done any more.
+    /// Sends the remaining spans. Call it when the process has finished its work.
     pub(super) fn finish(self) {
         #[cfg(feature = "otlp")]
         if let Some(sender) = self.sender {
@@ -31,8 +31,8 @@ impl Traces {
     }
 }
 
-/// Logs to standard error as `RUST_LOG` says. Where that says nothing, a service reports what it does, other commands only what goes
-/// wrong. A service sends traces when a collector is named.
+/// Logs to standard error, filtered by `RUST_LOG`. By default a service logs its operations, and other commands log only warnings
+/// and errors. A service sends traces if a collector is named.
 pub(super) fn start(json: bool, is_service: bool) -> Traces {
     let default_level = if is_service { "relume=info,warn" } else { "warn" };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_level));
@@ -44,12 +44,12 @@ pub(super) fn start(json: bool, is_service: bool) -> Traces {
     let layers: Vec<AnyLayer> = std::iter::once(log).chain(layer).collect();
     tracing_subscriber::registry().with(layers).init();
     if let Some(why) = warning {
-        tracing::warn!(why, "no traces are sent");
+        tracing::warn!(why, "traces are not sent");
     }
     traces
 }
 
-/// Whether the standard variables ask for traces.
+/// Whether the OpenTelemetry variables request traces.
 fn is_wanted() -> bool {
     let is =
         |name: &str, value: &str| std::env::var(name).is_ok_and(|found| found.eq_ignore_ascii_case(value));
@@ -59,7 +59,7 @@ fn is_wanted() -> bool {
         && !is("OTEL_TRACES_EXPORTER", "none")
 }
 
-/// What takes spans and sends them, or why nothing does.
+/// The layer that records spans and their sender, or the reason why there are none.
 #[cfg(feature = "otlp")]
 fn started() -> (Option<AnyLayer>, Traces, Option<String>) {
     match traces::start() {
@@ -68,10 +68,10 @@ fn started() -> (Option<AnyLayer>, Traces, Option<String>) {
     }
 }
 
-/// What takes spans and sends them, or why nothing does.
+/// The layer that records spans and their sender, or the reason why there are none.
 #[cfg(not(feature = "otlp"))]
 fn started() -> (Option<AnyLayer>, Traces, Option<String>) {
     let why =
-        format!("{} is set, and this program was built without the feature `otlp`", COLLECTORS.join(" or "));
+        format!("{} is set, but this program was built without the feature `otlp`", COLLECTORS.join(" or "));
     (None, Traces::default(), Some(why))
 }

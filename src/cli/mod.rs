@@ -1,4 +1,4 @@
-//! The command line, one file for each command.
+//! The command line, with one file per command.
 
 mod args;
 mod artifacts;
@@ -23,6 +23,7 @@ mod progress;
 mod render;
 mod sample;
 mod serve;
+mod setting_flags;
 mod size;
 mod stop;
 #[cfg(feature = "otlp")]
@@ -38,61 +39,61 @@ use clap::{Parser, Subcommand};
 
 use error::CommandResult;
 
-/// Turns posed photographs into relightable 3D Gaussian models and serves them relit.
+/// Turns posed photographs into relightable 3D Gaussian models and serves them over HTTP.
 #[derive(Debug, Parser)]
 #[command(name = "relume", version, arg_required_else_help = true, after_help = error::EXIT_CODES)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// Log as JSON, one object a line.
+    /// Write the log as JSON, one object per line.
     #[arg(long, global = true)]
     json_logs: bool,
 }
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// See it work: train on a synthetic capture, relight it, measure it against the exact truth.
+    /// Demonstrate Relume: train on a synthetic capture, relight it, compare the result with the ground truth.
     Demo(demo::DemoArgs),
     /// Run the HTTP service.
     Serve(Box<serve::ServeArgs>),
-    /// Train jobs of a server elsewhere.
+    /// Train jobs of a server on this machine (remote worker).
     Worker(worker::WorkerArgs),
-    /// List the workers of a server, and drain them.
+    /// List, drain and resume the workers of a server.
     Workers(workers::WorkersArgs),
-    /// Look at photographs before a training, or find their poses.
+    /// Check photographs before a training, or find their poses.
     Capture(capture::CaptureArgs),
     /// Train a model from a capture on this machine.
     Train(train::TrainArgs),
     /// Render a model on this machine.
     Render(render::RenderArgs),
-    /// Write a small synthetic capture, to try the service with.
+    /// Write a small synthetic capture for testing the service.
     Sample(sample::SampleArgs),
-    /// Measure a model against a capture's held-out views and ground truth.
+    /// Compare a model with the held-out views and the ground truth of a capture.
     Eval(eval::EvalArgs),
-    /// Measure speed on this machine.
+    /// Measure speed and accuracy on this machine.
     Bench(bench::BenchArgs),
-    /// Print what a model contains, and the complexity decisions of its training with their evidence.
+    /// Print the contents of a model, and the complexity decisions of its training with their evidence.
     Explain(explain::ExplainArgs),
-    /// Write a model in another format.
+    /// Convert a model into another format.
     Export(export::ExportArgs),
-    /// Make a model file of a PLY of Gaussians.
+    /// Convert a PLY of Gaussians into a model file.
     Import(import::ImportArgs),
-    /// Show this machine's devices and check that the service can run on it.
+    /// List the devices of this machine and check that the service can run.
     Doctor(doctor::DoctorArgs),
-    /// Make, list and revoke API keys, also while the server runs.
+    /// Create, list and revoke API keys. A server may run at the same time.
     Keys(keys::KeysArgs),
-    /// Copy what a server has stored, also while it runs.
+    /// Copy the stored data of a server. The server may run at the same time.
     Backup(backup::BackupArgs),
-    /// Make a data directory from a backup.
+    /// Create a data directory from a backup.
     Restore(backup::RestoreArgs),
-    /// Move what a server knows between SQLite and PostgreSQL.
+    /// Copy the records of a server between SQLite and PostgreSQL.
     Db(database::DbArgs),
-    /// Print the description of the HTTP API.
+    /// Print the OpenAPI description of the HTTP API.
     Openapi,
 }
 
 impl Command {
-    /// Whether it serves others until it is told to stop.
+    /// Whether the command runs until it is stopped.
     fn is_service(&self) -> bool {
         match self {
             Self::Serve(_) => true,
@@ -102,7 +103,7 @@ impl Command {
     }
 }
 
-/// Runs the command that the process was started with.
+/// Runs the command of the process's arguments.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let traces = logs::start(cli.json_logs, cli.command.is_service());
@@ -136,7 +137,7 @@ fn run(command: Command) -> ExitCode {
     exit(outcome.map(|()| ExitCode::SUCCESS))
 }
 
-/// How the program ends; an error is printed.
+/// The exit code of the program. An error is printed.
 fn exit(outcome: CommandResult<ExitCode>) -> ExitCode {
     match outcome {
         Ok(code) => code,

@@ -1,4 +1,4 @@
-//! How a training says where it stands: to a person, or in lines that programs read.
+//! Reports the progress of a training, to a person or as lines for programs.
 
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -8,48 +8,48 @@ use serde_json::{Value, json};
 
 use crate::cli::error::CommandResult;
 
-/// Lines for programs come no more often, but for the first and the last step.
+/// Minimum interval between lines for programs, except for the first and the last step.
 const EVERY: Duration = Duration::from_secs(1);
 
-/// Who reads it.
+/// The format of progress reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum ProgressKind {
-    /// A bar on a terminal, twenty lines elsewhere, on standard error.
+    /// A progress bar on a terminal, otherwise about 20 lines, on standard error.
     Human,
-    /// A JSON object a line on standard output.
+    /// One JSON object per line on standard output.
     Json,
     /// Lines of Open Job Description on standard output.
     Openjd,
 }
 
-/// What one step came to.
+/// The result of one step.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct StepProgress {
-    /// Steps done.
+    /// Completed steps.
     pub step: u32,
-    /// Steps in all.
+    /// Total steps.
     pub total: u32,
-    /// The objective.
+    /// The value of the objective.
     pub loss: f64,
-    /// PSNR on the step's photograph, dB.
+    /// PSNR on the photograph of the step, dB.
     pub psnr: f64,
-    /// Gaussians now.
+    /// Current number of Gaussians.
     pub gaussians: usize,
-    /// Expected time to the end; estimated by the pace so far where absent.
+    /// Expected seconds to the end. `None`: estimated from the pace so far.
     pub eta_seconds: Option<f64>,
 }
 
-/// The progress of one training.
+/// Reports the progress of one training.
 pub(super) struct ProgressReporter {
     kind: ProgressKind,
     bar: ProgressBar,
-    /// The first step that was shown, and when.
+    /// The first reported step, and its time.
     first: Option<(u32, Instant)>,
     printed: Option<Instant>,
 }
 
 impl ProgressReporter {
-    /// Says nothing yet.
+    /// Creates a reporter and prints nothing.
     pub(super) fn new(kind: ProgressKind) -> CommandResult<Self> {
         let bar = if kind == ProgressKind::Human { ProgressBar::new(0) } else { ProgressBar::hidden() };
         let style = "{bar:32} {pos}/{len} {per_sec:>12} eta {eta:>4}  {msg}";
@@ -57,7 +57,7 @@ impl ProgressReporter {
         Ok(Self { kind, bar, first: None, printed: None })
     }
 
-    /// A step was done.
+    /// Reports a completed step.
     pub(super) fn step(&mut self, step: &StepProgress) {
         if self.kind == ProgressKind::Human {
             return self.step_for_people(step);
@@ -90,7 +90,7 @@ impl ProgressReporter {
 
     fn step_for_people(&self, step: &StepProgress) {
         let bar = &self.bar;
-        // Without a terminal there is no bar: twenty lines go to the log instead.
+        // Without a terminal the bar is hidden: about 20 lines are printed instead.
         if bar.is_hidden() && step.step.is_multiple_of((step.total / 20).max(1)) {
             eprintln!("step {}/{}  {}", step.step, step.total, summary(step));
         }
@@ -99,12 +99,12 @@ impl ProgressReporter {
         bar.set_message(summary(step));
     }
 
-    /// What is being done now.
+    /// Reports the current activity.
     pub(super) fn status(&self, text: &str) {
         self.say("status", text);
     }
 
-    /// Something that the user should know.
+    /// Reports a warning.
     pub(super) fn warning(&self, text: &str) {
         match self.kind {
             ProgressKind::Human => self.bar.suspend(|| eprintln!("warning: {text}")),
@@ -113,12 +113,12 @@ impl ProgressReporter {
         }
     }
 
-    /// It was stopped before its end, and what was done is kept.
+    /// Reports that the training was stopped before its end and that its progress is saved.
     pub(super) fn stopped(&self, text: &str) {
         self.say("stopped", text);
     }
 
-    /// It has failed. People are told by the caller, with the error on standard error.
+    /// Reports a failure. For people the caller prints the error on standard error.
     pub(super) fn fail(&self, text: &str) {
         match self.kind {
             ProgressKind::Human => {}
@@ -127,7 +127,7 @@ impl ProgressReporter {
         }
     }
 
-    /// It is done; `wrote` names the file or the model that came of it.
+    /// Reports success; `wrote` names the file or model that was written.
     pub(super) fn done(&self, wrote: &str) {
         match self.kind {
             ProgressKind::Human => {
@@ -151,7 +151,7 @@ impl ProgressReporter {
     }
 }
 
-/// The line of a step; what is not a number is `null`.
+/// The line of a step. Values that are not finite are `null`.
 fn step_line(step: &StepProgress, eta: Option<f64>) -> Value {
     let rounded = |value: f64, parts: f64| (value * parts).round() / parts;
     json!({
@@ -169,12 +169,12 @@ fn summary(step: &StepProgress) -> String {
     format!("loss {:.4}  PSNR {:.2} dB  {} Gaussians", step.loss, step.psnr, step.gaussians)
 }
 
-/// A message of the protocol ends with its line.
+/// A message of the protocol must be one line.
 fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// A reader that has gone does not end a training.
+/// A closed standard output does not end a training.
 fn print(line: &str) {
     let _ = writeln!(std::io::stdout(), "{line}");
 }
@@ -201,6 +201,6 @@ mod tests {
 
     #[test]
     fn messages_are_written_on_one_line() {
-        assert_eq!(one_line("no room\n  on the disk\r\n"), "no room on the disk");
+        assert_eq!(one_line("no space\n  on the disk\r\n"), "no space on the disk");
     }
 }

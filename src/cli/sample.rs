@@ -1,4 +1,4 @@
-//! `relume sample`: a small capture to try the service with.
+//! `relume sample`: writes a small capture for testing the service.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use relume_capture::{SyntheticOptions, synthetic, write_archive};
 /// Options of `relume sample`.
 #[derive(Debug, clap::Args)]
 pub(super) struct SampleArgs {
-    /// The zip to write.
+    /// The zip file to write.
     #[arg(default_value = "capture.zip")]
     out: PathBuf,
     /// Seed of the noise in the photographs.
@@ -17,10 +17,10 @@ pub(super) struct SampleArgs {
     seed: u64,
 }
 
-/// Draws the scene of the demo with fewer and smaller photographs, some of them held out.
+/// Renders the scene of the demo with fewer and smaller photographs, some of them held out.
 pub(super) fn run(args: &SampleArgs) -> CommandResult {
     if args.out.exists() {
-        return Err(format!("{}: there is such a file already", args.out.display()).into());
+        return Err(format!("{}: the file already exists", args.out.display()).into());
     }
     let options = SyntheticOptions {
         train_views: 20,
@@ -34,6 +34,6 @@ pub(super) fn run(args: &SampleArgs) -> CommandResult {
     let capture = synthetic(&options)?;
     output::write_named(&args.out, &write_archive(&capture)?)?;
     let (train, test) = (capture.train.len(), capture.test.len());
-    eprintln!("wrote {}: {train} photographs and {test} to compare with", args.out.display());
+    eprintln!("wrote {}: {train} training and {test} held-out photographs", args.out.display());
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! Sizes on the command line.
 
-/// Bytes, or a number of a unit.
+/// Parses bytes, or a number with a unit.
 pub(super) fn size(text: &str) -> Result<u64, String> {
     let text = text.trim();
     let units = [("KiB", 10), ("MiB", 20), ("GiB", 30), ("TiB", 40), ("", 0)];

@@ -1,4 +1,4 @@
-//! A stop that keeps what was done.
+//! Stop signals that let a command save its progress.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,18 +8,19 @@ use signal_hook::flag;
 
 use crate::cli::error::STOPPED;
 
-/// Whether SIGTERM or SIGINT has come. The second one ends the program at once.
+/// Whether the process received SIGTERM or SIGINT. A second signal ends the process immediately.
 pub(super) struct StopSignal {
     requested: Arc<AtomicBool>,
-    /// Nothing is there yet that has to be kept: also the first one ends the program.
+    /// There is nothing to save yet, so the first signal also ends the process.
     is_early: Arc<AtomicBool>,
 }
 
 impl StopSignal {
-    /// Listens from now on. Until [`StopSignal::wait`] a signal ends the program with the code of a stop, at once.
+    /// Starts to handle the signals. Until [`StopSignal::wait`] a signal ends the process immediately with the exit code
+    /// [`STOPPED`].
     ///
     /// # Errors
-    /// Where the system takes no handler.
+    /// If the operating system refuses a signal handler.
     pub(super) fn listen() -> std::io::Result<Self> {
         let (requested, is_early) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(true)));
         for signal in [SIGTERM, SIGINT] {
@@ -30,7 +31,7 @@ impl StopSignal {
         Ok(Self { requested, is_early })
     }
 
-    /// From now on the first signal waits until [`StopSignal::is_requested`] is asked.
+    /// From now on the first signal only sets [`StopSignal::is_requested`].
     pub(super) fn wait(&self) {
         self.is_early.store(false, Ordering::SeqCst);
     }

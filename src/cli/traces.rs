@@ -1,5 +1,5 @@
-//! Sends spans to an OpenTelemetry collector, as the standard variables `OTEL_*` say: OTLP as protobuf over HTTP, in batches from a
-//! thread of its own. Whoever makes spans never waits for it.
+//! Sends spans to an OpenTelemetry collector according to the standard variables `OTEL_*`: OTLP as protobuf over HTTP, in batches
+//! from a separate thread. Code that creates spans never waits for the collector.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,37 +13,37 @@ use opentelemetry_sdk::error::OTelSdkResult;
 use opentelemetry_sdk::trace::{SdkTracerProvider, SpanData, SpanExporter};
 use tracing_subscriber::{EnvFilter, Layer, Registry};
 
-/// Which spans are sent, in the syntax of `RUST_LOG`.
+/// The variable that selects the spans to send, in the syntax of `RUST_LOG`.
 const FILTER: &str = "RELUME_TRACE_FILTER";
-/// What is sent where that says nothing.
+/// The filter if the variable is not set.
 const DEFAULT_FILTER: &str = "relume=info";
-/// How long the end of the process waits for the collector.
+/// Maximum time that the process waits for the collector at its end.
 const FLUSH_TIMEOUT: Duration = Duration::from_secs(3);
 const SERVICE_NAME: Key = Key::from_static_str("service.name");
 
-/// Sends what the layer takes.
+/// Sends the recorded spans.
 pub(super) struct SpanSender {
     provider: SdkTracerProvider,
     is_away: Arc<AtomicBool>,
 }
 
 impl SpanSender {
-    /// Sends what waits, as long as that takes no more than a few seconds.
+    /// Sends the remaining spans, for at most [`FLUSH_TIMEOUT`].
     pub(super) fn finish(self) {
         let sent = self.provider.shutdown_with_timeout(FLUSH_TIMEOUT);
-        // One warning is enough.
+        // If the collector is already unreachable, a warning was logged before.
         if let (Err(error), false) = (sent, self.is_away.load(Ordering::Relaxed)) {
             tracing::warn!(%error, "the last spans were not sent");
         }
     }
 }
 
-/// The layer that takes spans, and what sends them.
+/// The layer that records spans, and their sender.
 ///
 /// # Errors
-/// What is wrong with the variables.
+/// If the variables are invalid.
 pub(super) fn start() -> Result<(Box<dyn Layer<Registry> + Send + Sync>, SpanSender), String> {
-    // For a collector at `https://`. Another provider of the process is as good.
+    // TLS for a collector at `https://`. If the process already has a crypto provider, that one is used.
     tokio_rustls::rustls::crypto::ring::default_provider().install_default().ok();
     let directives = std::env::var(FILTER).unwrap_or_else(|_| DEFAULT_FILTER.to_owned());
     let filter = EnvFilter::try_new(&directives).map_err(|error| format!("{FILTER}: {error}"))?;
@@ -55,7 +55,7 @@ pub(super) fn start() -> Result<(Box<dyn Layer<Registry> + Send + Sync>, SpanSen
         SdkTracerProvider::builder().with_batch_exporter(exporter).with_resource(resource()).build();
     let layer = tracing_opentelemetry::layer()
         .with_tracer(provider.tracer("relume"))
-        // Nothing here asks for the current context of OpenTelemetry: `tracing` knows it.
+        // `tracing` knows the current span, so OpenTelemetry's current context is not needed.
         .with_context_activation(false)
         .with_tracked_inactivity(false)
         .with_location(false)
@@ -64,7 +64,7 @@ pub(super) fn start() -> Result<(Box<dyn Layer<Registry> + Send + Sync>, SpanSen
     Ok((layer.boxed(), SpanSender { provider, is_away }))
 }
 
-/// Who sends, with the name that the variables give.
+/// The description of this process, with the service name from the variables.
 fn resource() -> Resource {
     let found = Resource::builder().build();
     let is_named = found.get(&SERVICE_NAME).is_some_and(|name| !name.as_str().starts_with("unknown_service"));
@@ -73,7 +73,7 @@ fn resource() -> Resource {
     builder.with_attribute(KeyValue::new("service.version", env!("CARGO_PKG_VERSION"))).build()
 }
 
-/// Sends batches, and warns once when the collector goes away: spans of that time are lost.
+/// Sends batches. Logs one warning when the collector becomes unreachable; spans are lost until it is reachable again.
 #[derive(Debug)]
 struct Exporter {
     otlp: opentelemetry_otlp::SpanExporter,
@@ -86,9 +86,9 @@ impl SpanExporter for Exporter {
         let sent = self.otlp.export(batch).await;
         let was_away = self.is_away.swap(sent.is_err(), Ordering::Relaxed);
         match &sent {
-            Ok(()) if was_away => tracing::info!("the collector of traces takes spans again"),
+            Ok(()) if was_away => tracing::info!("the trace collector accepts spans again"),
             Err(error) if !was_away => {
-                tracing::warn!(%error, "the collector of traces takes no spans; they are lost until it does");
+                tracing::warn!(%error, "the trace collector accepts no spans; they are lost until it accepts them again");
             }
             _ => {}
         }
@@ -108,7 +108,7 @@ impl SpanExporter for Exporter {
     }
 }
 
-/// Calls the span of a request what OpenTelemetry's conventions for HTTP call it. In the log it has the names of the log.
+/// Renames the span of a request and its attributes to OpenTelemetry's conventions for HTTP. The log uses the original names.
 fn name_request(span: &mut SpanData) {
     if span.name != "request" {
         return;

@@ -1,4 +1,4 @@
-//! `relume train`: from a capture to a model file, without a server.
+//! `relume train`: trains a model from a capture without a server.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -10,6 +10,7 @@ use crate::cli::error::{CommandResult, EXIT_CODES, STOPPED};
 use crate::cli::light::{named_light, read_rotations};
 use crate::cli::output;
 use crate::cli::progress::{ProgressKind, ProgressReporter, StepProgress};
+use crate::cli::setting_flags::SettingFlags;
 use crate::cli::stop::StopSignal;
 use relume_capture::formats::model_file;
 use relume_capture::{Capture, ImportLimits};
@@ -25,64 +26,68 @@ use relume_train::{MemoryBudget, MemoryEstimate, PhotographSizes, Trainer, impor
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXIT_CODES)]
 pub(super) struct TrainArgs {
-    /// A folder, zip, tar or tar.gz of photographs, or a clip (.mp4, .mov, .mkv, .webm). Where no poses are stated, COLMAP looks for
-    /// them, and a capture with poses is made beside it.
+    /// A folder, zip, tar or tar.gz of photographs, or a video clip (.mp4, .mov, .mkv, .webm). If the photographs have no poses,
+    /// COLMAP finds them, and a capture with poses is created beside the input.
     capture: PathBuf,
     #[command(flatten)]
     poses: PoseArgs,
-    /// `draft`, `standard` or `high`.
+    /// Preset: `draft`, `standard` or `high`.
     #[arg(long, default_value = "standard", value_parser = named::<Preset>)]
     preset: Preset,
-    /// Whose model to train: `3dgs`, `gaussian-shader`, `gs-ir`, `r3dg`, `article` (each re-created inside this program, not the
-    /// system's own code) or `relume`. Other options and `--set` win over what it sets.
+    /// Method to train: `relume`, or the model of a published system: `3dgs`, `gaussian-shader`, `gs-ir`, `r3dg`, `article`
+    /// (re-implemented in this program; not the code of the system). Other options and `--set` override the settings of the
+    /// method.
     #[arg(long, value_parser = named::<Method>)]
     method: Option<Method>,
     /// Longest image side, pixels.
     #[arg(long)]
     resolution: Option<u32>,
     /// Optimisation steps.
-    #[arg(long)]
+    #[arg(long, visible_alias = "steps")]
     iterations: Option<u32>,
-    /// Seed of every random choice.
+    /// Seed of all random choices.
     #[arg(long)]
     seed: Option<u64>,
-    /// The measured light of the photographs: a `.hdr` or `.exr` file or the name of a built-in map.
+    /// Known light of the photographs: a `.hdr` or `.exr` file or the name of a built-in map.
     #[arg(long)]
     light: Option<String>,
-    /// Turn of that light about the capture's +Z, degrees counter-clockwise.
+    /// Rotation of this light about the capture's +Z, degrees counter-clockwise.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, requires = "light")]
     light_rotation: f64,
-    /// Exposure of that light, stops, or `auto`: at 0 a surface that sends a radiance of 1 is white in the photographs;
-    /// `auto` gives a white surface facing up 0.9 of the luminance of white.
+    /// Exposure of this light, stops, or `auto`. At 0 a surface with a radiance of 1 is white in the photographs. `auto` gives a
+    /// white surface that faces up 0.9 of the luminance of white.
     #[arg(long, default_value = "0", value_parser = exposure, allow_negative_numbers = true, requires = "light")]
     light_exposure: LightExposure,
-    /// Turns of the light in single photographs, for things on a turntable: a JSON file, `{"photo.jpg": degrees}`,
+    /// Rotations of the light in single photographs, for objects on a turntable: a JSON file `{"photo.jpg": degrees}`,
     /// counter-clockwise about the capture's +Z.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long = "light-rotation-file", alias = "light-rotations", value_name = "FILE")]
     light_rotations: Option<PathBuf>,
-    /// Colour of the light in the photographs: `auto` (estimated), `neutral` (balanced for their light), `daylight` (open
-    /// sky), or its temperature in kelvin in photographs that were balanced for daylight.
+    /// Colour of the light in the photographs: `auto` (estimated), `neutral` (photographs balanced for their light), `daylight`
+    /// (open sky), or the colour temperature in kelvin for photographs balanced for daylight.
     #[arg(long)]
     white_balance: Option<WhiteBalance>,
-    /// A white or grey thing that all of the light falls on, in pixels of a stored photograph: its mean colour is the light's, in
-    /// place of `--white-balance`.
+    /// A white or grey object that all of the light reaches, as a rectangle in pixels of a stored photograph. Its mean colour is
+    /// the colour of the light, in place of `--white-balance`.
     #[arg(long, value_name = "PHOTO:X,Y,WIDTH,HEIGHT")]
     grey_card: Option<GreyCard>,
-    /// Which part of photographs without masks becomes the model, while the rest only lights it: `none`, `auto` (what stands on the
-    /// ground in the ball around which the cameras stand), or a ball in units of the capture, +Z up.
+    /// The part of photographs without masks that becomes the model; the rest only lights it: `none`, `auto` (the object on the
+    /// ground in the ball around which the cameras are placed), or a ball in units of the capture, +Z up.
     #[arg(long, value_name = "auto|X,Y,Z,RADIUS", allow_hyphen_values = true)]
     crop: Option<Crop>,
-    /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
+    /// Device: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists the devices.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
     /// Any other override of the preset, e.g. `--set labels=both`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// The file for checkpoints. A training resumes from it when it exists; it is removed at the end. With it SIGTERM and Ctrl-C
-    /// write one after the step that runs and end with exit code 75; the second one ends at once.
+    #[command(flatten)]
+    settings: SettingFlags,
+    /// The checkpoint file. If it exists, the training resumes from it; it is deleted at the end. With this option SIGTERM and
+    /// Ctrl-C write a checkpoint after the current step and end with exit code 75; a second signal ends immediately.
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
-    /// How progress is said: `human` on standard error, `json` (an object a line) or `openjd` (Open Job Description) on standard output.
+    /// Format of progress reports: `human` on standard error, `json` (one object per line) or `openjd` (Open Job Description) on
+    /// standard output.
     #[arg(long, value_enum, default_value_t = ProgressKind::Human, value_name = "KIND")]
     progress: ProgressKind,
     /// The model file to write.
@@ -126,7 +131,7 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
         return Ok(ExitCode::from(STOPPED));
     }
     let mut model = trainer.model()?;
-    // A job's model file has no time in it, so that its bytes are reproducible.
+    // The model file of a job contains no time, so that its bytes are reproducible.
     if let Some(card) = model.card.as_object_mut() {
         card.insert("training_seconds".to_owned(), trainer.seconds().into());
     }
@@ -139,17 +144,17 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
     Ok(ExitCode::SUCCESS)
 }
 
-/// What memory is available, where that is known.
+/// The available memory, if known.
 fn left(budget: MemoryBudget) -> String {
     budget.available.map_or_else(String::new, |bytes| format!(", {:.2} GB are available", bytes as f64 / 1e9))
 }
 
-/// How much of the `seconds` of its steps a training waited for photographs.
+/// The share of the training time, `seconds`, that was spent waiting for photographs.
 fn waited(trainer: &Trainer, seconds: f64) -> String {
     let stats = trainer.decoding();
     let waited = stats.waited.as_secs_f64();
     format!(
-        "photographs: {} decoded for {} steps, which waited for {} of them: {waited:.2} of {seconds:.1} s ({:.2} %)",
+        "photographs: {} decoded for {} steps; {} waits took {waited:.2} of {seconds:.1} s ({:.2} %)",
         stats.decoded,
         stats.asked,
         stats.waits,
@@ -157,7 +162,7 @@ fn waited(trainer: &Trainer, seconds: f64) -> String {
     )
 }
 
-/// The overrides that the options make.
+/// The overrides from the options.
 fn all_overrides(args: &TrainArgs) -> CommandResult<TrainOverrides> {
     let flags = [
         ("method", args.method.map(serde_json::to_value).transpose()?),
@@ -165,7 +170,8 @@ fn all_overrides(args: &TrainArgs) -> CommandResult<TrainOverrides> {
         ("iterations", args.iterations.map(Into::into)),
         ("seed", args.seed.map(Into::into)),
     ];
-    let mut overrides = overrides(&flags, &args.set)?;
+    let pairs = [&args.set[..], &args.settings.0].concat();
+    let mut overrides = overrides(&flags, &pairs)?;
     if let Some(environment) = args.light.clone() {
         let (rotation_deg, exposure_ev) = (args.light_rotation, args.light_exposure);
         overrides.light = Some(KnownLight { environment, rotation_deg, exposure_ev });
@@ -192,10 +198,10 @@ fn exposure(text: &str) -> Result<LightExposure, String> {
     text.parse().map(LightExposure::Stops).map_err(|_| format!("{text:?} is neither a number nor `auto`"))
 }
 
-/// Where and when the state of a training is kept.
+/// The checkpoint file and its schedule.
 struct CheckpointFile<'a> {
     file: &'a Path,
-    /// Steps between two writes.
+    /// Steps between two checkpoints.
     every: u32,
     stop: StopSignal,
 }
@@ -206,7 +212,7 @@ impl<'a> CheckpointFile<'a> {
     }
 }
 
-/// Resumes from the checkpoint when the file exists, or starts anew.
+/// Resumes from the checkpoint if the file exists; otherwise starts a training.
 fn trainer(
     capture: &Capture,
     config: TrainConfig,
@@ -220,11 +226,11 @@ fn trainer(
     let named = |error: &dyn Error| format!("{}: {error}", file.display());
     let bytes = std::fs::read(file).map_err(|error| named(&error))?;
     let trainer = Trainer::resume(capture, config, &bytes, device).map_err(|error| named(&error))?;
-    progress.status(&format!("going on from step {}, {}", trainer.progress().step, file.display()));
+    progress.status(&format!("resuming from step {}, {}", trainer.progress().step, file.display()));
     Ok(trainer)
 }
 
-/// Trains to the end, or until a stop is asked for: `false` then, with the checkpoint written.
+/// Trains to the end, or until a stop is requested: then writes a checkpoint and returns `false`.
 fn train(
     trainer: &mut Trainer,
     kept: Option<&CheckpointFile<'_>>,
@@ -250,7 +256,7 @@ fn train(
         if stops {
             // A step that was not finite is not in the checkpoint.
             let kept = trainer.progress().step;
-            progress.stopped(&format!("stopped after step {kept} of {total}, kept in {}", file.display()));
+            progress.stopped(&format!("stopped after step {kept} of {total}, saved in {}", file.display()));
             return Ok(false);
         }
     }

@@ -1,4 +1,4 @@
-//! `relume worker`: takes jobs of a server and trains them here.
+//! `relume worker`: claims jobs of a server and trains them on this machine.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -20,37 +20,37 @@ use relume_api::work::{WorkerHello, validate_labels};
 use relume_client::Client;
 use relume_engine::DeviceChoice;
 
-/// Exit code of `--once` when the job failed.
+/// Exit code of `--once` if the job failed.
 const JOB_FAILED: u8 = 3;
 
 /// Options of `relume worker`.
 #[derive(Debug, clap::Args)]
 pub(super) struct WorkerArgs {
-    /// The server whose jobs to take, e.g. `https://relume.example.org`.
+    /// The server whose jobs to train, e.g. `https://relume.example.org`.
     #[arg(long, env = "RELUME_SERVER")]
     server: String,
-    /// A file with the key, which needs the scope `work`; in its place the variable RELUME_API_KEY.
+    /// A file with an API key with the scope `work`. Alternatively set the variable RELUME_API_KEY.
     #[arg(long, value_name = "FILE")]
     key_file: Option<PathBuf>,
-    /// Take one job at most, then end; end at once when none waits.
+    /// Train at most one job, then exit. Exit immediately if no job is queued.
     #[arg(long)]
     once: bool,
-    /// Where to train: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
+    /// Device for training: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists the devices.
     #[arg(long, env = "RELUME_DEVICE", default_value_t)]
     device: DeviceChoice,
-    /// Labels that jobs may ask for, separated by commas.
+    /// Labels of this worker, separated by commas. A job can require labels of its worker.
     #[arg(long, env = "RELUME_WORKER_LABELS", value_delimiter = ',')]
     labels: Vec<String>,
-    /// A name for people; the machine's where absent.
+    /// A descriptive name of this worker. Default: the host name.
     #[arg(long, env = "RELUME_WORKER_NAME")]
     name: Option<String>,
-    /// Who reads how far a job is.
+    /// Format of progress reports.
     #[arg(long, value_enum, default_value = "human")]
     progress: ProgressKind,
-    /// The folder of what was fetched before. Workers of one machine may share it.
+    /// The folder for cached downloads. Several workers of one machine may share it.
     #[arg(long, env = "RELUME_CACHE", default_value = "relume-cache")]
     cache: PathBuf,
-    /// What it may take: bytes, or a number with MiB, GiB or TiB.
+    /// Maximum size of the cache: bytes, or a number with MiB, GiB or TiB.
     #[arg(long, env = "RELUME_CACHE_BYTES", value_name = "SIZE", value_parser = size, default_value = "64GiB")]
     cache_bytes: u64,
 }
@@ -82,24 +82,28 @@ async fn work(args: WorkerArgs) -> CommandResult<ExitCode> {
     let options = TrainingOptions { once: args.once, ..TrainingOptions::default() };
     let thread = worker::start_training(Arc::new(source), device, options, stop)?;
     let ended = tokio::task::spawn_blocking(move || thread.join()).await?;
-    match ended.map_err(|_| "the training thread did not end well")? {
-        Some(JobOutcome::Refused) => Err("the server gives this worker no jobs; the log says why".into()),
+    match ended.map_err(|_| "the training thread panicked")? {
+        Some(JobOutcome::Refused) => {
+            Err("the server refused this worker; the log contains the reason".into())
+        }
         Some(JobOutcome::Requeued) => Ok(ExitCode::from(STOPPED)),
         Some(JobOutcome::Failed) if args.once => Ok(ExitCode::from(JOB_FAILED)),
         _ => Ok(ExitCode::SUCCESS),
     }
 }
 
-/// The first signal has the worker store a checkpoint and give its job back, the second ends it at once.
+/// On the first signal the worker stores a checkpoint and releases its job; on the second it exits immediately.
 fn stop_on_signals(stop: CancellationToken) -> std::io::Result<()> {
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
     tokio::spawn(async move {
         tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
-        tracing::info!("stopping; a job that runs is given back");
+        tracing::info!("stopping; the running job is returned to the queue");
         stop.cancel();
         tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
-        tracing::warn!("stopped without a checkpoint; the job is given to another worker in a minute");
+        tracing::warn!(
+            "stopped without a new checkpoint; the server returns the job to the queue when its lease ends"
+        );
         std::process::exit(1);
     });
     Ok(())

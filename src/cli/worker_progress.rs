@@ -1,4 +1,4 @@
-//! What a worker says of its jobs: lines of the log for people, lines of progress for programs.
+//! Reports the progress of a worker's jobs: as log lines for people, as progress lines for programs.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -6,12 +6,12 @@ use crate::cli::progress::{ProgressKind, ProgressReporter, StepProgress};
 use crate::remote_worker::{Observer, WorkerEvent};
 use relume_api::jobs::JobProgress;
 
-/// Tells whoever reads `kind`.
+/// An observer that reports in the format `kind`.
 pub(super) fn progress_observer(kind: ProgressKind) -> Observer {
     if kind == ProgressKind::Human {
         return Arc::new(log);
     }
-    // Made anew for each job.
+    // A new reporter is created for each job.
     let progress: Mutex<Option<ProgressReporter>> = Mutex::default();
     Arc::new(move |told| {
         let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
@@ -26,14 +26,16 @@ pub(super) fn progress_observer(kind: ProgressKind) -> Observer {
 
 fn log(told: WorkerEvent<'_>) {
     match told {
-        WorkerEvent::Claimed(task) => tracing::info!(job = %task.job, attempt = task.attempt, "took a job"),
+        WorkerEvent::Claimed(task) => {
+            tracing::info!(job = %task.job, attempt = task.attempt, "claimed a job")
+        }
         WorkerEvent::Progress(progress) => {
-            tracing::debug!(step = progress.step, total = progress.total, "trains")
+            tracing::debug!(step = progress.step, total = progress.total, "training")
         }
         WorkerEvent::Warning(message) => tracing::warn!("{message}"),
         WorkerEvent::Published => tracing::info!("published the model"),
         WorkerEvent::Failed(detail) => tracing::warn!(detail, "the job failed"),
-        WorkerEvent::Released => tracing::info!("gave the job back"),
+        WorkerEvent::Released => tracing::info!("returned the job to the queue"),
         WorkerEvent::Cancelled => tracing::info!("the job was cancelled"),
     }
 }
@@ -46,14 +48,14 @@ fn say(progress: &mut ProgressReporter, told: WorkerEvent<'_>) {
             None => progress.status(report.message.as_deref().unwrap_or("working")),
         },
         WorkerEvent::Warning(message) => progress.warning(message),
-        WorkerEvent::Published => progress.done("the model, which is published"),
+        WorkerEvent::Published => progress.done("the model; it is published"),
         WorkerEvent::Failed(detail) => progress.fail(detail),
-        WorkerEvent::Released => progress.stopped("gave the job back"),
+        WorkerEvent::Released => progress.stopped("returned the job to the queue"),
         WorkerEvent::Cancelled => progress.stopped("the job was cancelled"),
     }
 }
 
-/// A report of a step, if it is one.
+/// The step of a report, if it has one.
 fn step(report: &JobProgress) -> Option<StepProgress> {
     Some(StepProgress {
         step: u32::try_from(report.step).ok()?,

@@ -1,4 +1,4 @@
-//! `relume workers`: who works for a server.
+//! `relume workers`: lists and drains the workers of a server.
 
 use std::path::PathBuf;
 
@@ -14,13 +14,15 @@ pub(super) struct WorkersArgs {
     /// The server, e.g. `http://127.0.0.1:7878`.
     #[arg(long, env = "RELUME_SERVER", default_value = "http://127.0.0.1:7878")]
     server: String,
-    /// A file with a key that has the scope `metrics`, or `admin` to drain; in its place the variable RELUME_API_KEY.
+    /// A file with an API key with the scope `metrics`, or `admin` to drain and resume. Alternatively set the variable
+    /// RELUME_API_KEY.
     #[arg(long, value_name = "FILE")]
     key_file: Option<PathBuf>,
-    /// Give this worker no more jobs; it ends after the one that it has.
+    /// Drain this worker: it gets no more jobs. A remote worker exits after its current job; a local worker waits until it is
+    /// resumed.
     #[arg(long, value_name = "ID", conflicts_with = "resume")]
     drain: Option<String>,
-    /// Give this worker jobs again.
+    /// Resume a drained worker.
     #[arg(long, value_name = "ID")]
     resume: Option<String>,
 }

@@ -1,24 +1,24 @@
-//! Time and identifiers, injected so that tests decide both.
+//! Clocks and identifiers, which are injected so that tests can control them.
 
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Tells the time.
+/// A clock.
 pub trait Clock: Send + Sync {
     /// Milliseconds since 1970 UTC.
     fn now_ms(&self) -> i64;
 
-    /// Tells it the time of a database that several servers share. Only a [`DatabaseClock`] follows that.
+    /// Sets the time of a shared database. Only a [`DatabaseClock`] uses it.
     fn set(&self, _now_ms: i64) {}
 }
 
-/// Makes identifiers.
+/// A generator of identifiers.
 pub trait Ids: Send + Sync {
-    /// A string that was never returned before.
+    /// A unique string.
     fn fresh(&self) -> String;
 }
 
-/// The machine's clock.
+/// The clock of the machine.
 #[derive(Debug, Default)]
 pub struct SystemClock;
 
@@ -28,8 +28,8 @@ impl Clock for SystemClock {
     }
 }
 
-/// A clock that goes with that of the database, whatever this machine's says: leases end at the same time for everybody who shares
-/// the database. Between two [`Clock::set`] it goes on by this machine's time since its start, which no change of the date moves.
+/// A clock that follows the time of the database, so that leases end at the same time for all servers that share it. Between two
+/// calls of [`Clock::set`] it uses the monotonic clock of this machine, which is independent of changes of the date.
 #[derive(Debug)]
 pub struct DatabaseClock {
     start: Instant,
@@ -38,7 +38,7 @@ pub struct DatabaseClock {
 }
 
 impl DatabaseClock {
-    /// A clock that says `now_ms` now.
+    /// A clock whose current time is `now_ms`.
     pub fn new(now_ms: i64) -> Self {
         Self { start: Instant::now(), at_start_ms: AtomicI64::new(now_ms) }
     }
@@ -58,7 +58,7 @@ impl Clock for DatabaseClock {
     }
 }
 
-/// UUIDs of version 7: unguessable, and sorted by time.
+/// Version 7 UUIDs: unguessable, and sorted by time.
 #[derive(Debug, Default)]
 pub struct RandomIds;
 
@@ -68,12 +68,12 @@ impl Ids for RandomIds {
     }
 }
 
-/// A clock that only [`ManualClock::advance`] moves.
+/// A clock that only [`ManualClock::advance`] advances.
 #[derive(Debug, Default)]
 pub struct ManualClock(AtomicI64);
 
 impl ManualClock {
-    /// Moves the clock on.
+    /// Advances the clock.
     pub fn advance(&self, by: Duration) {
         self.0.fetch_add(i64::try_from(by.as_millis()).unwrap_or(i64::MAX), Ordering::SeqCst);
     }

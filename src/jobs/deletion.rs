@@ -1,15 +1,15 @@
-//! Deletion, with word of it to workers and listeners.
+//! Deletion of resources, with notification of workers and listeners.
 
 use crate::jobs::queue::Jobs;
 use crate::store::{Deletion, DeletionReport, Retention, StoreError};
 use relume_api::{ResourceName, TenantId};
 
 impl Jobs {
-    /// Deletes a capture, an environment, a job or a model of a tenant; see [`crate::store::Store::delete`]. On a full disk the reserve is
-    /// given up for it.
+    /// Deletes a capture, an environment, a job or a model of a tenant; see [`crate::store::Store::delete`]. On a full disk it
+    /// releases the reserve first.
     ///
     /// # Errors
-    /// When the database fails; nothing is deleted then.
+    /// When the database fails. Then nothing is deleted.
     pub async fn delete(
         &self,
         tenant: &TenantId,
@@ -26,7 +26,7 @@ impl Jobs {
         deleted
     }
 
-    /// Deletes what has been kept for long enough and gives up uploads that have expired, then removes the files of what was deleted, now or before.
+    /// Deletes resources beyond their retention and expired uploads, then removes the files of all deleted resources.
     ///
     /// # Errors
     /// When the database or a file operation fails.

@@ -1,25 +1,26 @@
-//! Who works: workers say that they are there, and those that fall silent lose their jobs.
+//! Heartbeats of workers. Workers without heartbeats lose their jobs.
 
 use crate::jobs::queue::Jobs;
 use crate::store::StoreError;
 use relume_api::work::WorkerHello;
 
-/// How long a worker that was not heard of again is remembered, milliseconds.
+/// Time after its last heartbeat for which a worker is kept in the registry, milliseconds.
 const FORGET_AFTER_MS: i64 = 24 * 3600 * 1000;
 
 impl Jobs {
-    /// Workers that were not seen since are taken for dead; milliseconds since 1970 UTC.
+    /// Workers whose last heartbeat is before this time are considered dead; milliseconds since 1970 UTC.
     pub fn heartbeat_cutoff_ms(&self) -> i64 {
         let timeout = i64::try_from(self.policy.heartbeat_timeout.as_millis()).unwrap_or(i64::MAX);
         self.now_ms().saturating_sub(timeout)
     }
 
-    /// How often workers with a job say that they are there, milliseconds.
+    /// Interval of the heartbeats of workers with a job, milliseconds.
     pub fn heartbeat_interval_ms(&self) -> u64 {
         u64::try_from(self.policy.heartbeat_timeout.as_millis()).unwrap_or(u64::MAX) / 8
     }
 
-    /// A worker says that it is there; `server`: the data directory whose server it is a thread of. Returns whether it is to end.
+    /// Records a heartbeat of a worker. `server` is the data directory of the server of a local worker. Returns whether the
+    /// worker is draining.
     ///
     /// # Errors
     /// When the database fails.
@@ -31,8 +32,8 @@ impl Jobs {
         self.store.record_worker_heartbeat(hello, server, self.now_ms()).await
     }
 
-    /// Forgets the workers that were threads of the server of a data directory before, and excuses the others: nobody could be seen
-    /// while it was away.
+    /// Removes the earlier local workers of the server of a data directory, and renews the heartbeats of the others, because none
+    /// could arrive while the server was stopped.
     ///
     /// # Errors
     /// When the database fails.
@@ -41,7 +42,7 @@ impl Jobs {
         self.store.reset_heartbeats(self.now_ms()).await
     }
 
-    /// Forgets workers that were not heard of for a day, and those of a server that ends.
+    /// Removes workers without a heartbeat for a day, and the local workers of `server`, which ends.
     ///
     /// # Errors
     /// When the database fails.

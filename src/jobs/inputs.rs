@@ -1,4 +1,4 @@
-//! What an attempt reads: the capture, a known light, the last checkpoint.
+//! The inputs of an attempt: the capture, a known light, the last checkpoint.
 
 use std::path::PathBuf;
 
@@ -11,12 +11,12 @@ use relume_api::EnvironmentId;
 pub struct InputFile {
     /// Key in the artifact store.
     pub artifact: String,
-    /// Hash of the bytes, lower-case hex; empty of a checkpoint from before hashes were kept.
+    /// Hash of the bytes, lower-case hex; empty for a checkpoint of a version that did not store hashes.
     pub sha256: String,
 }
 
 impl Lease {
-    /// The capture; none when it was deleted.
+    /// The capture; `None` if it was deleted.
     ///
     /// # Errors
     /// When the database fails.
@@ -26,7 +26,7 @@ impl Lease {
         Ok(record.map(|record| InputFile { artifact: record.artifact, sha256: record.sha256 }))
     }
 
-    /// An environment map of the job's tenant; none when there is none.
+    /// An environment map of the job's tenant; `None` if it does not exist.
     ///
     /// # Errors
     /// When the database fails.
@@ -35,17 +35,17 @@ impl Lease {
         Ok(record.map(|record| InputFile { artifact: record.artifact, sha256: record.sha256 }))
     }
 
-    /// The checkpoint that the job was claimed with; none where there is none.
+    /// The checkpoint at the time of the claim; `None` if there is none.
     pub fn last_checkpoint(&self) -> Option<InputFile> {
         let job = self.job();
         let sha256 = job.checkpoint_sha256.clone().unwrap_or_default();
         job.checkpoint.clone().map(|artifact| InputFile { artifact, sha256 })
     }
 
-    /// Brings a file to this machine and compares it with its hash; where it is.
+    /// Downloads a file if there is no local copy, and verifies its hash. Returns its path.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] or [`StoreError::Missing`] when its bytes are not those that were stored.
+    /// [`StoreError::Damaged`] or [`StoreError::Missing`] if the file is damaged or missing.
     pub async fn bring(&self, file: &InputFile) -> Result<PathBuf, StoreError> {
         let artifacts = self.jobs().store().artifacts();
         if !file.sha256.is_empty() {

@@ -1,5 +1,5 @@
-//! A worker's right to work on a job. Whatever the worker writes carries the lease token, so that a worker which was paused
-//! for too long finds out that it lost the job and publishes nothing.
+//! Leases: a worker's right to write to a job. Each write of the worker carries the lease token, so that a worker that was
+//! suspended for too long detects the loss of the job and publishes nothing.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use relume_api::jobs::{JobProgress, JobState};
 use relume_api::quality::Figures;
 use relume_api::work::{LeaseStatus, Release, Task};
 
-/// How often a worker tries again what the database could not be reached for, and how long it waits in between.
+/// Maximum number of retries of a worker's write while the database cannot be reached, and the delay between them.
 const MAX_RETRIES: u32 = 60;
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
@@ -22,7 +22,7 @@ pub struct Lease {
 }
 
 impl Jobs {
-    /// Claims the next job for a worker that is not registered and may have any that asks for no label.
+    /// Claims the next job for an unregistered worker that can run all jobs that require no labels.
     ///
     /// # Errors
     /// When the database fails.
@@ -30,7 +30,7 @@ impl Jobs {
         self.claim_as(&Claimant { has_gpu: true, ..Claimant::default() }).await
     }
 
-    /// Claims the next job that a worker may have.
+    /// Claims the next job that a worker can run.
     ///
     /// # Errors
     /// When the database fails.
@@ -43,7 +43,7 @@ impl Jobs {
         Ok(job.map(|job| Lease { jobs: self.clone(), job, token }))
     }
 
-    /// The lease of a worker that sends its token along, while it stands.
+    /// The lease with `token`, if it is still held.
     ///
     /// # Errors
     /// When the database fails.
@@ -54,17 +54,17 @@ impl Jobs {
 }
 
 impl Lease {
-    /// The job as it was when it was claimed.
+    /// The job at the time of the claim.
     pub fn job(&self) -> &JobRecord {
         &self.job
     }
 
-    /// What carries this right along.
+    /// The token of the lease.
     pub fn token(&self) -> &str {
         &self.token
     }
 
-    /// The job as its worker sees it.
+    /// The job as the worker receives it.
     pub fn task(&self) -> Task {
         let job = &self.job;
         Task {
@@ -78,7 +78,7 @@ impl Lease {
         }
     }
 
-    /// Key prefix for what this attempt writes; no other attempt shares it.
+    /// Key prefix of the files of this attempt. Each attempt has its own prefix.
     pub fn artifact_prefix(&self) -> String {
         format!("attempts/{}/{}", self.job.id, self.job.attempts)
     }
@@ -91,7 +91,7 @@ impl Lease {
         self.jobs.store.lease_status(&self.job.id, &self.token).await
     }
 
-    /// Records progress. This is the heartbeat: it is called when a step was done and at no other time.
+    /// Records progress. This is the heartbeat: it is called after a step and at no other time.
     ///
     /// # Errors
     /// When the database fails.
@@ -116,11 +116,11 @@ impl Lease {
         Ok(status)
     }
 
-    /// Stores a checkpoint, then points the job at it, then drops the one it replaces. Each has a key of its own, also a second
-    /// one of the same step: the one that counts is not written over, and not taken away with one that came to nothing.
+    /// Stores a checkpoint, records it for the job, then removes the one that it replaces. Each checkpoint has a unique key, even
+    /// at the same step, so that a recorded checkpoint is neither overwritten nor removed together with a failed one.
     ///
     /// # Errors
-    /// When the bytes cannot be stored or the database fails; the previous checkpoint then still counts.
+    /// When the bytes cannot be stored or the database fails. The previous checkpoint is then kept.
     pub async fn checkpoint(&self, step: i64, bytes: Vec<u8>) -> Result<LeaseStatus, StoreError> {
         let size = bytes.len() as u64;
         let key = self.checkpoint_key(step);
@@ -131,7 +131,7 @@ impl Lease {
         self.note_disk_shortage(stored, size)
     }
 
-    /// As [`Self::checkpoint`], of bytes that have arrived already.
+    /// As [`Self::checkpoint`], for bytes that have already arrived.
     ///
     /// # Errors
     /// As [`Self::checkpoint`].
@@ -146,7 +146,7 @@ impl Lease {
         format!("{}/checkpoint-{step:08}-{unique}.safetensors", self.artifact_prefix())
     }
 
-    /// Points the job at a checkpoint that is stored.
+    /// Records a stored checkpoint for the job.
     async fn adopt_checkpoint(
         &self,
         step: i64,
@@ -172,7 +172,8 @@ impl Lease {
         Ok(status)
     }
 
-    /// Publishes the model and ends the job as succeeded, or as rejected when `figures` are not what it asks for. Anything but [`LeaseStatus::Held`] published nothing.
+    /// Publishes the model and ends the job as succeeded, or as rejected if `figures` miss its quality gate. With any other
+    /// result than [`LeaseStatus::Held`] nothing was published.
     ///
     /// # Errors
     /// When the database fails.
@@ -218,7 +219,7 @@ impl Lease {
         Ok(self.jobs.store.job(&self.job.tenant, &self.job.id).await?.and_then(|job| job.checkpoint))
     }
 
-    /// Removes the checkpoint of a job that has ended, once the end is durable.
+    /// Removes the checkpoint of a job that has ended, after the end is durable.
     async fn ended(&self, status: LeaseStatus, checkpoint: Option<String>) {
         if let (LeaseStatus::Held, Some(key)) = (status, checkpoint) {
             self.jobs.store.artifacts().remove(&key).await;
@@ -226,7 +227,7 @@ impl Lease {
         self.jobs.announce();
     }
 
-    /// Where no room was left for `size` bytes, nothing is claimed until there is.
+    /// Records a shortage if there was no disk space for `size` bytes. No job is then claimed until there is.
     pub(super) fn note_disk_shortage<T>(
         &self,
         stored: Result<T, StoreError>,
@@ -238,7 +239,7 @@ impl Lease {
         stored
     }
 
-    /// Gives the job back to the queue.
+    /// Returns the job to the queue.
     ///
     /// # Errors
     /// When the database fails.
@@ -249,18 +250,18 @@ impl Lease {
         Ok(status)
     }
 
-    /// True when the attempts without a new checkpoint, this one included, have reached the policy's maximum.
+    /// Whether the number of attempts without a new checkpoint, including this one, has reached the policy's maximum.
     pub fn is_last_attempt(&self) -> bool {
         self.job.idle_attempts >= i64::from(self.jobs.policy.max_idle_attempts)
     }
 
-    /// The queue this lease belongs to.
+    /// The queue of this lease.
     pub fn jobs(&self) -> &Jobs {
         &self.jobs
     }
 }
 
-/// Does what can be done twice, and again while the database cannot be reached, for [`MAX_RETRIES`] tries.
+/// Performs an idempotent operation, and retries it while the database cannot be reached, at most [`MAX_RETRIES`] times.
 async fn with_retries<T, F: Future<Output = Result<T, StoreError>>>(
     act: impl Fn() -> F,
 ) -> Result<T, StoreError> {

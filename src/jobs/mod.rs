@@ -7,9 +7,8 @@
 //!   └──cancel──────────────────────────────────────▶ cancelled
 //! ```
 //!
-//! [`Jobs`] is what clients of the service do to jobs; [`Lease`] is what a worker may do to the one it holds.
-//! The state is in the database. A change is also announced on a [`tokio::sync::watch`] channel, so that listeners
-//! know when to query it.
+//! [`Jobs`] has the operations of clients on jobs; [`Lease`] those of a worker on its job. The state is in the database. A change
+//! is also announced on a [`tokio::sync::watch`] channel, so that listeners know when to query the database.
 
 mod clock;
 mod deletion;

@@ -1,4 +1,4 @@
-//! What a finished training leaves: files, then a model that names them, in the transaction that ends its job.
+//! Publication of a model: stores its files, then records the model in the transaction that ends its job.
 
 use crate::jobs::lease::Lease;
 use crate::store::{ModelFile, ModelRecord, StagedUpload, StoreError};
@@ -9,7 +9,7 @@ use relume_api::work::{FinishedModel, LeaseStatus, SentFile};
 const CONTENT_TYPE: &str = "application/octet-stream";
 
 impl Lease {
-    /// Stores a file of the model that this attempt makes.
+    /// Stores a file of the attempt's model.
     ///
     /// # Errors
     /// When the bytes cannot be stored.
@@ -20,17 +20,17 @@ impl Lease {
         Ok(SentFile { name: name.to_owned(), sha256, bytes: size })
     }
 
-    /// As [`Self::put_file`], of bytes that have arrived already.
+    /// As [`Self::put_file`], for bytes that have already arrived.
     ///
     /// # Errors
-    /// When they cannot be stored.
+    /// When the bytes cannot be stored.
     pub async fn take_file(&self, name: &str, bytes: StagedUpload) -> Result<SentFile, StoreError> {
         let file = SentFile { name: name.to_owned(), sha256: bytes.sha256.clone(), bytes: bytes.bytes };
         self.jobs().store().artifacts().publish(bytes, &self.file_key(name)).await?;
         Ok(file)
     }
 
-    /// Compares a file that was sent with its hash.
+    /// Verifies the hash of a stored file.
     ///
     /// # Errors
     /// [`StoreError::Damaged`] or [`StoreError::Missing`].
@@ -41,11 +41,11 @@ impl Lease {
         if size == file.bytes { Ok(()) } else { Err(StoreError::Damaged(key)) }
     }
 
-    /// Publishes the model of stored files and ends the job. Anything but [`LeaseStatus::Held`] published nothing, and the files are
-    /// gone.
+    /// Publishes the model with its stored files and ends the job. With any other result than [`LeaseStatus::Held`] nothing was
+    /// published, and the files are removed.
     ///
     /// # Errors
-    /// When the database fails: then the model may be published all the same, unless the disk was full.
+    /// When the database fails. The model may be published nevertheless, unless the disk was full.
     pub async fn finish(&self, model: FinishedModel) -> Result<LeaseStatus, StoreError> {
         let mut figures = model.figures;
         figures.warnings = self.jobs().store().warnings(&self.job().id).await?;
@@ -91,7 +91,7 @@ impl Lease {
             job_id: job.id.clone(),
             capture_id: job.request.capture.clone(),
             gaussians,
-            // The store gives it those of its job.
+            // The store replaces these by the metadata of the job.
             metadata: job.request.metadata(),
             card: with_figures(card, figures),
             created_ms: self.jobs().now_ms(),
@@ -99,7 +99,7 @@ impl Lease {
     }
 }
 
-/// The card with what was measured: the file leaves that out, so that its bytes depend on the job alone.
+/// The model card with the figures. The file does not contain them, so that its bytes depend only on the job.
 fn with_figures(mut card: serde_json::Value, figures: &Figures) -> serde_json::Value {
     if let Some(fields) = card.as_object_mut() {
         fields.insert("figures".to_owned(), serde_json::json!(figures));

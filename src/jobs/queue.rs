@@ -1,4 +1,4 @@
-//! What clients of the service do to jobs, and what is done about leases that ran out.
+//! Operations of clients on jobs, and the reclaiming of expired leases.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -14,23 +14,23 @@ use crate::store::{
 use relume_api::jobs::{JobState, NewJob};
 use relume_api::{JobId, TenantId};
 
-/// Time between two attempts to hear of what others write.
+/// Time between two attempts to listen for changes by other servers.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
-/// How leases behave.
+/// Parameters of leases.
 #[derive(Debug, Clone, Copy)]
 pub struct LeasePolicy {
-    /// How long a claim lasts without a heartbeat.
+    /// Duration of a lease without a heartbeat.
     pub duration: Duration,
-    /// Attempts without a new checkpoint before a job is given up.
+    /// Maximum number of attempts without a new checkpoint before a job fails.
     pub max_idle_attempts: u32,
-    /// How long a worker may be silent before its jobs are given to others.
+    /// Time without a heartbeat after which a worker's jobs are given to others.
     pub heartbeat_timeout: Duration,
 }
 
 impl Default for LeasePolicy {
     fn default() -> Self {
-        // Heartbeats follow steps only, and there is none while a large capture is imported.
+        // Heartbeats follow only steps, and there are none during the import of a large capture.
         Self {
             duration: Duration::from_secs(600),
             max_idle_attempts: 5,
@@ -39,12 +39,12 @@ impl Default for LeasePolicy {
     }
 }
 
-/// Where a job comes from.
+/// The origin of a job.
 #[derive(Debug, Clone, Default)]
 pub struct Origin {
-    /// The job that it repeats.
+    /// The job that it retries.
     pub retry_of: Option<JobId>,
-    /// The trace of the request that made it, as a W3C `traceparent`.
+    /// The trace of the request that created it, as a W3C `traceparent`.
     pub traceparent: Option<String>,
 }
 
@@ -64,7 +64,7 @@ impl Jobs {
         Self { store, clock, ids, policy, changes: Arc::new(watch::Sender::new(())) }
     }
 
-    /// The store beneath.
+    /// The store.
     pub fn store(&self) -> &Store {
         &self.store
     }
@@ -74,7 +74,7 @@ impl Jobs {
         self.clock.now_ms()
     }
 
-    /// Follows the time of a database that others share.
+    /// Sets the clock to the time of the shared database.
     ///
     /// # Errors
     /// When the database does not answer.
@@ -90,17 +90,17 @@ impl Jobs {
         self.ids.fresh().into()
     }
 
-    /// Wakes when some job may have changed; what changed is in the store.
+    /// Notifies when any job may have changed; the change is in the store.
     pub fn subscribe(&self) -> watch::Receiver<()> {
         self.changes.subscribe()
     }
 
-    /// Wakes subscribers also when somebody else who shares the database has written about a job. Never ends; while the database
-    /// cannot be reached, everybody looks at it by themselves.
+    /// Notifies subscribers of changes by other servers that share the database. Never returns. While the database cannot be
+    /// reached, subscribers query it periodically.
     pub async fn listen_for_changes(&self) {
         loop {
             if let Err(error) = self.forward_changes().await {
-                tracing::warn!(%error, "changes by others are not heard of for now");
+                tracing::warn!(%error, "cannot listen for changes of jobs by other servers at present");
             }
             tokio::time::sleep(RETRY_INTERVAL).await;
         }
@@ -117,7 +117,7 @@ impl Jobs {
     /// Queues a job of `total` steps for a tenant; see [`Store::submit_job`].
     ///
     /// # Errors
-    /// [`StoreError::IdempotencyKeyReused`] when the key came with another request before.
+    /// [`StoreError::IdempotencyKeyReused`] if the key was used with another request.
     pub async fn submit(
         &self,
         tenant: &TenantId,
@@ -136,7 +136,7 @@ impl Jobs {
         Ok(submitted)
     }
 
-    /// A job of a tenant and, while it waits, how many run before it.
+    /// A job of a tenant and, while it is queued, the number of jobs before it.
     ///
     /// # Errors
     /// When the database fails.
@@ -167,7 +167,7 @@ impl Jobs {
         self.store.jobs(tenant, state, filter, page).await
     }
 
-    /// How many jobs run before each of these that waits, at most [`MAX_QUEUE_POSITION`].
+    /// The number of jobs before each of the queued jobs, at most [`MAX_QUEUE_POSITION`].
     ///
     /// # Errors
     /// When the database fails.
@@ -182,7 +182,7 @@ impl Jobs {
         Ok(waiting.into_iter().map(|id| (id.clone(), place(&id))).collect())
     }
 
-    /// True when some job waits for a worker.
+    /// Whether any job is queued.
     ///
     /// # Errors
     /// When the database fails.
@@ -190,7 +190,7 @@ impl Jobs {
         Ok(self.store.job_counts().await?.iter().any(|(state, _)| *state == JobState::Queued))
     }
 
-    /// Cancels a queued job at once, asks a running one to stop.
+    /// Cancels a queued job immediately; asks a running job to stop.
     ///
     /// # Errors
     /// When the database fails.
@@ -203,7 +203,7 @@ impl Jobs {
         Ok(outcome)
     }
 
-    /// Changes the priority of a job that waits; `false` when it does not wait.
+    /// Changes the priority of a queued job; `false` if it is not queued.
     ///
     /// # Errors
     /// When the database fails.
@@ -229,7 +229,7 @@ impl Jobs {
         self.store.events_after(tenant, id, after).await
     }
 
-    /// Takes back leases that ran out, and those of workers that have been silent for too long.
+    /// Reclaims expired leases, and the leases of workers without recent heartbeats.
     ///
     /// # Errors
     /// When the database fails.
@@ -237,8 +237,8 @@ impl Jobs {
         self.reclaim(self.now_ms()).await
     }
 
-    /// Takes back also every lease whose worker is not registered. The caller must hold the node lock and have forgotten the workers
-    /// that were threads of this server before: then all of these are dead.
+    /// Also reclaims the leases of all workers that are not registered. The caller must hold the lock of the data directory and
+    /// must have removed the earlier local workers of this server; then all these workers are dead.
     ///
     /// # Errors
     /// When the database fails.
@@ -251,7 +251,7 @@ impl Jobs {
         let (now, alive) = (self.now_ms(), self.heartbeat_cutoff_ms());
         let jobs = self.store.reclaim_leases((expired_ms, alive), max_idle, now).await?;
         for job in &jobs {
-            tracing::info!(job = %job.id, state = job.state.name(), "took a lease back");
+            tracing::info!(job = %job.id, state = job.state.name(), "reclaimed a lease");
             self.drop_checkpoint(job).await;
         }
         if !jobs.is_empty() {
@@ -260,7 +260,7 @@ impl Jobs {
         Ok(jobs)
     }
 
-    /// Removes the checkpoint of a job that has ended. Should the server die before, the next start sweeps it away.
+    /// Removes the checkpoint of a job that has ended. If the server terminates before, the next startup cleanup removes it.
     async fn drop_checkpoint(&self, job: &JobRecord) {
         if let (true, Some(key)) = (job.state.is_terminal(), &job.checkpoint) {
             self.store.artifacts().remove(key).await;

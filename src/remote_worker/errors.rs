@@ -1,9 +1,9 @@
-//! What errors of the API are to a worker.
+//! Maps errors of the API to errors of a job source.
 
 use crate::worker::JobSourceError;
 use relume_client::ClientError;
 
-/// What an error of the API is to a worker.
+/// Maps an error of the API to an error of a job source.
 pub(super) fn source_error(error: ClientError) -> JobSourceError {
     let Some(problem) = error.problem() else {
         return match error {

@@ -1,4 +1,4 @@
-//! Files that were fetched before, by their hash, within a bound on disk.
+//! A cache of downloaded files by hash, with a size limit.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -12,51 +12,51 @@ use tokio::io::AsyncWriteExt;
 use crate::store::hex;
 use relume_client::{ClientError, Download};
 
-/// Name of files on their way.
+/// Suffix of incomplete downloads.
 const PART: &str = ".part";
-/// How long a download may stand still.
+/// Timeout without new bytes of a download.
 const STALL: Duration = Duration::from_secs(60);
 
 fn stalled() -> io::Error {
-    io::Error::new(io::ErrorKind::TimedOut, "the download stands still")
+    io::Error::new(io::ErrorKind::TimedOut, "the download has stalled")
 }
 
-/// Why a file could not be had.
+/// Why a file is not available.
 #[derive(Debug, thiserror::Error)]
 pub enum CacheError {
-    /// The server or the way there failed.
+    /// The server or the connection failed.
     #[error(transparent)]
     Client(#[from] ClientError),
-    /// The folder failed.
+    /// A file operation in the cache folder failed.
     #[error("the cache: {0}")]
     Io(#[from] io::Error),
-    /// The bytes that arrived are not those of the file.
-    #[error("the bytes that arrived are not those that were promised")]
+    /// The received bytes do not match the hash of the file.
+    #[error("the received bytes do not match the hash of the file")]
     WrongBytes,
 }
 
-/// A folder of files that were fetched. Several processes may share it.
+/// A folder of downloaded files. Several processes may share it.
 #[derive(Debug, Clone)]
 pub struct FileCache {
     folder: PathBuf,
-    /// Bytes that files take together, beside the one that was asked for last.
+    /// Maximum total size of the files, bytes, without the last requested one.
     most: u64,
 }
 
 impl FileCache {
-    /// Opens the folder, and makes it for its owner alone where it is missing.
+    /// Opens the folder. Creates it with access for its owner only if it does not exist.
     ///
     /// # Errors
-    /// When it cannot be made.
+    /// When the folder cannot be created.
     pub fn open(folder: &Path, most: u64) -> io::Result<Self> {
         crate::store::make_private(folder)?;
         Ok(Self { folder: folder.to_owned(), most })
     }
 
-    /// The file that `download` begins, and its hash. It is not downloaded where it is there already, unless it was damaged.
+    /// The file of `download` and its hash. Downloads it unless an intact copy exists.
     ///
     /// # Errors
-    /// See [`CacheError`]; nothing of the file is left then.
+    /// See [`CacheError`]. Nothing of the file is left then.
     pub async fn keep(&self, download: Download) -> Result<(PathBuf, String), CacheError> {
         let sha256 = download.sha256();
         if sha256.len() != 64 || !sha256.chars().all(|c| c.is_ascii_hexdigit()) {
@@ -71,7 +71,7 @@ impl FileCache {
         let (folder, kept, most) = (self.folder.clone(), path.clone(), self.most);
         let pruned = tokio::task::spawn_blocking(move || prune(&folder, &kept, most)).await;
         if let Ok(Err(error)) = pruned {
-            tracing::warn!(%error, "old files of the cache cannot be removed");
+            tracing::warn!(%error, "cannot remove old files of the cache");
         }
         Ok((path, sha256))
     }
@@ -95,7 +95,7 @@ impl FileCache {
     }
 }
 
-/// Whether a file has the bytes that its name says. It counts as used then; one that has not is removed.
+/// Whether a file matches the hash in its name. Records its use; removes a damaged file.
 fn is_intact(path: &Path, sha256: &str) -> bool {
     let Ok(mut file) = File::options().read(true).write(true).open(path) else { return false };
     let mut hasher = Sha256::new();
@@ -111,12 +111,12 @@ fn is_intact(path: &Path, sha256: &str) -> bool {
         let _ = file.set_modified(SystemTime::now());
         return true;
     }
-    tracing::warn!(path = %path.display(), "a file of the cache is damaged; it is fetched again");
+    tracing::warn!(path = %path.display(), "a cached file is damaged; it will be downloaded again");
     let _ = std::fs::remove_file(path);
     false
 }
 
-/// Removes the files that were used longest ago until the others fit. Downloads of processes that died go after a day.
+/// Removes the least recently used files until the limit is kept, and incomplete downloads older than a day.
 fn prune(folder: &Path, kept: &Path, most: u64) -> io::Result<()> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder)? {

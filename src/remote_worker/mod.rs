@@ -1,6 +1,6 @@
-//! Workers with a process of their own that know nothing of a server but its API: neither its database nor its files.
+//! Remote workers: processes that use only the API of a server, neither its database nor its files.
 //!
-//! [`RemoteJobs`] is the source of jobs of such a worker. What it fetches stays in a [`FileCache`].
+//! [`RemoteJobs`] is the job source of a remote worker. It caches downloads in a [`FileCache`].
 
 mod errors;
 mod file_cache;

@@ -1,28 +1,28 @@
-//! Who is told what a worker does.
+//! Observers of a worker's activity.
 
 use std::sync::Arc;
 
 use relume_api::jobs::JobProgress;
 use relume_api::work::Task;
 
-/// What a worker does.
+/// An event of a worker.
 #[derive(Debug, Clone, Copy)]
 pub enum WorkerEvent<'a> {
-    /// It begins to work on a job.
+    /// It has claimed a job.
     Claimed(&'a Task),
-    /// The training goes on.
+    /// Progress of the training.
     Progress(&'a JobProgress),
-    /// Something to look out for.
+    /// A warning.
     Warning(&'a str),
     /// The model is published.
     Published,
     /// The job has failed.
     Failed(&'a str),
-    /// The job is in the queue again.
+    /// The job was returned to the queue.
     Released,
     /// The job was cancelled.
     Cancelled,
 }
 
-/// Who is told what a worker does.
+/// A callback for the events of a worker.
 pub type Observer = Arc<dyn Fn(WorkerEvent<'_>) + Send + Sync>;

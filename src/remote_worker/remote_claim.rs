@@ -1,4 +1,4 @@
-//! A job of a server, over its API. While it is held the server hears of the worker every few seconds.
+//! A job of a server, over its API. The worker sends a heartbeat every few seconds while it has the job.
 
 use std::io;
 use std::path::PathBuf;
@@ -21,9 +21,9 @@ use relume_api::work::{FinishedModel, LeaseStatus, LeaseView, Release, Task, Wor
 use relume_client::work::LeasedJob;
 use relume_client::{ClientError, Download};
 
-/// Least time between two signs of life.
+/// Minimum time between two heartbeats.
 const MIN_HEARTBEAT_INTERVAL: Duration = Duration::from_millis(100);
-/// How often something is tried again while the server cannot be reached, and how long to wait in between.
+/// Maximum number of retries while the server cannot be reached, and the delay between them.
 const MAX_RETRIES: u32 = 60;
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
@@ -43,7 +43,7 @@ impl Drop for RemoteClaim {
 }
 
 impl RemoteClaim {
-    /// Must be called inside a tokio runtime. `changes` wakes when the job is to stop, which is asked for every so often.
+    /// Must be called inside a tokio runtime. `changes` notifies when the job is to stop, which the heartbeats query.
     pub(super) fn new(
         work: LeasedJob,
         task: Task,
@@ -65,7 +65,7 @@ impl RemoteClaim {
     }
 }
 
-/// Says that the worker is there until the lease is lost.
+/// Sends heartbeats until the task is aborted. Notifies `changes` if the job is to stop.
 async fn send_heartbeats(work: LeasedJob, changes: Arc<watch::Sender<()>>, every: Duration) {
     loop {
         tokio::time::sleep(every).await;
@@ -74,7 +74,7 @@ async fn send_heartbeats(work: LeasedJob, changes: Arc<watch::Sender<()>>, every
             Ok(LeaseStatus::Cancelling | LeaseStatus::Lost) => {
                 changes.send_replace(());
             }
-            Err(error) => tracing::warn!(%error, "the server did not hear of this worker"),
+            Err(error) => tracing::warn!(%error, "cannot send a heartbeat to the server"),
         }
     }
 }
@@ -101,7 +101,7 @@ impl Claim for RemoteClaim {
             Ok((download.whole().await?, sha256))
         });
         let (bytes, sha256) = fetched.await.map_err(source_error)?;
-        // Those from before hashes were kept have none.
+        // Checkpoints of versions that did not store hashes have none.
         let is_intact = sha256.is_empty() || hex(&Sha256::digest(&bytes)) == sha256;
         if is_intact { Ok(bytes) } else { Err(JobSourceError::Damaged) }
     }
@@ -159,7 +159,7 @@ impl Claim for RemoteClaim {
     }
 }
 
-/// How the lease stands by an answer.
+/// The status of the lease according to an answer.
 fn lease_status(answer: Result<LeaseView, ClientError>) -> Result<LeaseStatus, JobSourceError> {
     match answer {
         Ok(view) => Ok(view.status),
@@ -172,7 +172,7 @@ fn lost_lease_or(error: ClientError) -> Result<LeaseStatus, JobSourceError> {
     if is_lost { Ok(LeaseStatus::Lost) } else { Err(source_error(error)) }
 }
 
-/// Whether it may go better a second later.
+/// Whether a retry may succeed.
 fn is_transient(error: &ClientError) -> bool {
     match error {
         ClientError::Transport(_) => true,
@@ -180,7 +180,7 @@ fn is_transient(error: &ClientError) -> bool {
     }
 }
 
-/// Does what can be done twice, and again while the server cannot be reached, for [`MAX_RETRIES`] tries.
+/// Performs an idempotent operation, and retries it while the server cannot be reached, at most [`MAX_RETRIES`] times.
 async fn with_retries<T>(act: impl AsyncFn() -> Result<T, ClientError>) -> Result<T, ClientError> {
     for _ in 0..MAX_RETRIES {
         match act().await {
@@ -191,7 +191,7 @@ async fn with_retries<T>(act: impl AsyncFn() -> Result<T, ClientError>) -> Resul
     act().await
 }
 
-/// As [`with_retries`], of a file; bytes that changed on the way are fetched once more.
+/// As [`with_retries`], for a file. A file with a wrong hash is downloaded once more.
 async fn download_with_retries<T>(act: impl AsyncFn() -> Result<T, CacheError>) -> Result<T, JobSourceError> {
     let mut wrong = 0;
     for _ in 0..MAX_RETRIES {

@@ -1,4 +1,4 @@
-//! The jobs of a server, over its API.
+//! The job source of a remote worker: the queue of a server, over its API.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use relume_api::WorkerId;
 use relume_api::work::WorkerHello;
 use relume_client::Client;
 
-/// The jobs of a server for one worker.
+/// The jobs of a server, for one worker.
 pub struct RemoteJobs {
     client: Client,
     hello: WorkerHello,

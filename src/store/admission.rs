@@ -1,4 +1,4 @@
-//! Refuses what a tenant would have beyond its quota.
+//! Enforces the quotas of tenants.
 
 use crate::store::sql::{self, Tx};
 use crate::store::usage::Allowance;
@@ -6,22 +6,23 @@ use crate::store::{Quota, Store, StoreError};
 use relume_api::TenantId;
 
 impl Store {
-    /// Bounds what each tenant may have.
+    /// Sets the quota of each tenant.
     #[must_use]
     pub fn with_quota(mut self, quota: Quota) -> Self {
         self.quota = quota;
         self
     }
 
-    /// Refuses `asked` more bytes of a tenant beyond its quota, uploads in progress included; any more at all when it is reached.
+    /// Refuses `asked` more bytes beyond the tenant's quota, which includes pending uploads. If the quota is already reached,
+    /// refuses any further bytes.
     ///
     /// # Errors
-    /// [`StoreError::ByteQuotaExceeded`] with the numbers.
+    /// [`StoreError::ByteQuotaExceeded`], with the numbers.
     pub async fn admit_bytes_of(&self, tenant: &TenantId, asked: u64) -> Result<(), StoreError> {
         self.quota_allowance(tenant).await?.admit(asked.max(1))
     }
 
-    /// What a tenant may store and what it does, uploads in progress included.
+    /// The byte quota of a tenant and its stored bytes, including pending uploads.
     pub(super) async fn quota_allowance(&self, tenant: &TenantId) -> Result<Allowance, StoreError> {
         let Some(limit) = self.quota.bytes else {
             return Ok(Allowance { limit: u64::MAX, taken: 0, of_tenant: true });
@@ -31,7 +32,7 @@ impl Store {
         Ok(Allowance { limit, taken, of_tenant: true })
     }
 
-    /// Refuses one more job of a tenant beyond its quota, in the transaction that would queue it.
+    /// Refuses another job beyond the tenant's quota, in the transaction that queues the job.
     pub(super) async fn admit_job_of(&self, tx: &mut Tx, tenant: &TenantId) -> Result<(), StoreError> {
         let Some(most) = self.quota.jobs else { return Ok(()) };
         let active: i64 = sql::query_scalar(JOBS).bind(tenant).fetch_one(&mut *tx).await?;

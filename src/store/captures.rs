@@ -9,12 +9,12 @@ use relume_api::metadata::ResourceMetadata;
 use relume_api::{CaptureId, ResourceKind, ResourceName, TenantId, UploadId};
 
 impl Store {
-    /// Records a capture, or returns the one of the same tenant and content that was there first, called what this one is called.
-    /// The upload that it is made of is forgotten in the same transaction, unless it was to become another capture than the one
-    /// returned. A capture that was promised before is called what its upload says by now.
+    /// Records a capture. If the tenant already has a capture with the same content, returns that one and changes its metadata to
+    /// those of `capture`. Removes the upload `made_of` in the same transaction, unless the upload was announced as another
+    /// capture than the returned one. If the capture was announced before, it gets the current metadata of its upload.
     ///
     /// # Errors
-    /// [`StoreError::InvalidMetadata`] when the one that was there may not be called so, or when the database fails.
+    /// [`StoreError::InvalidMetadata`] if the existing capture cannot have these metadata. When the database fails.
     pub async fn insert_capture(
         &self,
         tenant: &TenantId,
@@ -59,7 +59,7 @@ impl Store {
             stored.metadata =
                 change_metadata_in_tx(&mut tx, tenant, &what, &change).await?.unwrap_or(stored.metadata);
         }
-        // One that another capture was promised of stays, to say what came of that.
+        // An upload that was announced as another capture is kept; it records the result.
         sql::query("DELETE FROM uploads WHERE id = $1 AND (capture_id IS NULL OR capture_id = $2)")
             .bind(made_of)
             .bind(&stored.id)
@@ -85,7 +85,7 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// A capture of a tenant by content.
+    /// A capture of a tenant by the hash of its content.
     ///
     /// # Errors
     /// When the database fails.
@@ -100,7 +100,7 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// A capture of a tenant that was made of these photographs without poses.
+    /// A capture of a tenant by the hash of its source photographs without poses.
     ///
     /// # Errors
     /// When the database fails.
@@ -116,7 +116,7 @@ impl Store {
         Ok(query.bind(sha256).bind(tenant).fetch_optional(self.pool()).await?)
     }
 
-    /// Captures of a tenant that are called so, newest first.
+    /// Captures of a tenant that match the filter, newest first.
     ///
     /// # Errors
     /// When the database fails.

@@ -1,4 +1,4 @@
-//! One server a data directory: an advisory lock that dies with its process.
+//! The lock of a data directory: an advisory lock that ends with its process. Only one server can hold it.
 
 use std::fs::{File, TryLockError};
 use std::io::{Read, Write};
@@ -7,18 +7,18 @@ use std::path::Path;
 use crate::store::StoreError;
 use crate::store::folder::make_private;
 
-/// Held as long as the server lives. Whoever holds it knows that whatever was a thread of this directory's server before is dead,
-/// and that its leases may be taken over at once.
+/// The lock is held until the server ends. Its holder knows that all local workers of earlier servers of this directory are dead,
+/// so it can take over their leases immediately.
 #[derive(Debug)]
 pub struct DataDirLock {
     file: File,
 }
 
 impl DataDirLock {
-    /// Takes the data directory, creating it for its owner alone when it is missing.
+    /// Locks the data directory. Creates it with access for its owner only if it does not exist.
     ///
     /// # Errors
-    /// [`StoreError::Locked`] while another process holds it.
+    /// [`StoreError::Locked`] if another process holds the lock.
     pub fn acquire(root: &Path) -> Result<Self, StoreError> {
         make_private(root)?;
         let path = root.join("node.lock");
@@ -30,10 +30,11 @@ impl DataDirLock {
         }
     }
 
-    /// The name of the data directory, by which others who share the database know its server. One that has none yet gets `fresh`.
+    /// The name of the data directory, which identifies its server to other servers of the database. A directory without a name
+    /// gets `fresh`.
     ///
     /// # Errors
-    /// When it can be neither read nor written.
+    /// If the name cannot be read or written.
     pub fn name(&mut self, fresh: impl FnOnce() -> String) -> Result<String, StoreError> {
         let mut name = String::new();
         self.file.read_to_string(&mut name)?;
@@ -77,6 +78,6 @@ mod tests {
         assert_eq!([mode(&data), mode(&dir.path().join("above"))], [0o700; 2]);
         std::fs::set_permissions(&data, Permissions::from_mode(0o750)).unwrap();
         DataDirLock::acquire(&data).unwrap();
-        assert_eq!(mode(&data), 0o750, "what its owner decided stays");
+        assert_eq!(mode(&data), 0o750, "existing permissions are not changed");
     }
 }

@@ -1,5 +1,5 @@
-//! Deletion: what is deleted is marked in one transaction and is gone for everybody from then on. Its files are removed
-//! afterwards (`discard.rs`), so that a server which dies in between has nothing half deleted.
+//! Deletion of resources. A resource is soft-deleted in one transaction and is invisible from then on. Its files are removed
+//! afterwards (`discard.rs`), so that a server that terminates in between leaves nothing half deleted.
 
 use serde_json::json;
 
@@ -12,21 +12,22 @@ use relume_api::{JobId, ResourceKind, ResourceName, TenantId};
 /// Outcome of a request to delete.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Deletion {
-    /// It is deleted.
+    /// The resource is deleted.
     Done,
-    /// There is no such thing, or no longer.
+    /// The resource does not exist.
     NotFound,
-    /// These need it; nothing was deleted.
+    /// These resources need it; nothing was deleted.
     InUse(Vec<ResourceName>),
 }
 
 impl Store {
-    /// Deletes a capture, an environment, a job or a model of a tenant. With `cascade` also what needs it; a job that runs is cancelled.
+    /// Deletes a capture, an environment, a job or a model of a tenant. With `cascade` also deletes the resources that need it; a
+    /// running job is cancelled.
     ///
-    /// The model of a job stays, and so does the record of a model's job.
+    /// The model of a deleted job is kept, and so is the record of a deleted model's job.
     ///
     /// # Errors
-    /// When the database fails; nothing is deleted then.
+    /// When the database fails. Then nothing is deleted.
     pub async fn delete(
         &self,
         tenant: &TenantId,
@@ -53,7 +54,7 @@ impl Store {
     }
 }
 
-/// Refuses a job whose capture, known light or predecessor was deleted after the request was checked.
+/// Refuses a job if its capture, known light or predecessor was deleted after the request was checked.
 pub(super) async fn check_not_deleted(tx: &mut Tx, job: &JobRecord) -> Result<(), StoreError> {
     let light = job.request.overrides.light.as_ref().map(|light| light.environment.clone());
     let named = [
@@ -68,7 +69,7 @@ pub(super) async fn check_not_deleted(tx: &mut Tx, job: &JobRecord) -> Result<()
             return Err(StoreError::Deleted(ResourceName::new(kind, id)));
         }
     }
-    // A name that is no identifier is a built-in map.
+    // A name that is not an identifier is a built-in map.
     let deleted = "SELECT id FROM environments WHERE id = $1 AND deleted_ms IS NOT NULL";
     let deleted: Option<String> = sql::query_scalar(deleted).bind(&light).fetch_optional(&mut *tx).await?;
     match (deleted, light) {
@@ -77,7 +78,7 @@ pub(super) async fn check_not_deleted(tx: &mut Tx, job: &JobRecord) -> Result<()
     }
 }
 
-/// A query for whether the thing `$1` of the tenant `$2` is there.
+/// A query for whether the resource `$1` of the tenant `$2` exists.
 fn live(kind: ResourceKind) -> &'static str {
     match kind {
         ResourceKind::Capture => {
@@ -91,8 +92,8 @@ fn live(kind: ResourceKind) -> &'static str {
     }
 }
 
-/// The jobs that need a thing: those that wait or run, and those that may run again. A job needs itself while it runs. Nothing
-/// needs a model.
+/// The jobs that need a resource: queued and running jobs, and jobs that can be retried. A job needs itself while it runs.
+/// Nothing needs a model.
 async fn needed_by(tx: &mut Tx, what: &ResourceName) -> Result<Vec<ResourceName>, StoreError> {
     let jobs = match what.kind {
         ResourceKind::Capture => {
@@ -112,7 +113,7 @@ async fn needed_by(tx: &mut Tx, what: &ResourceName) -> Result<Vec<ResourceName>
 }
 
 async fn soft_delete(tx: &mut Tx, what: &ResourceName, now_ms: i64) -> Result<(), StoreError> {
-    // The hash is free from now on for another upload of the same content.
+    // The hash becomes available for another upload of the same content.
     let update = match what.kind {
         ResourceKind::Job => return soft_delete_job(tx, &what.id, now_ms).await,
         ResourceKind::Capture => {
@@ -132,7 +133,7 @@ async fn soft_delete(tx: &mut Tx, what: &ResourceName, now_ms: i64) -> Result<()
     Ok(())
 }
 
-/// Soft-deletes a job. One that waits is cancelled, one that runs is asked to stop.
+/// Soft-deletes a job. A queued job is cancelled; a running job is asked to stop.
 async fn soft_delete_job(tx: &mut Tx, id: &str, now_ms: i64) -> Result<(), StoreError> {
     let before: Option<JobState> =
         sql::query_scalar("SELECT state FROM jobs WHERE id = $1").bind(id).fetch_optional(&mut *tx).await?;

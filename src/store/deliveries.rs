@@ -1,5 +1,5 @@
-//! What webhooks are sent. A job's end enters its messages in the transaction that ends the job; a message leaves the queue
-//! once its outcome is written down. A server that dies in between sends it again: at least once.
+//! Queue of messages to webhooks. The transaction that ends a job adds its messages. A message leaves the queue after its result
+//! is recorded. If the server terminates in between, it sends the message again (at-least-once delivery).
 
 use std::time::Duration;
 
@@ -14,11 +14,11 @@ use crate::store::{JobRecord, Page, Store, StoreError, WebhookRecord};
 use relume_api::webhooks::{DeliveryState, WebhookData, WebhookEvent, WebhookMessage};
 use relume_api::{DeliveryId, JobId, TenantId, WebhookId};
 
-/// Attempts that are kept of a delivery.
+/// Number of recorded attempts of a delivery.
 const MAX_LOGGED_ATTEMPTS: usize = 20;
-/// Deliveries that were entered this long ago are forgotten, whatever became of them.
+/// Age at which deliveries are deleted, whatever their state.
 const DELIVERY_RETENTION: Duration = Duration::from_secs(30 * 24 * 3600);
-/// A webhook is switched off when nothing could be delivered for this long.
+/// A webhook is disabled after failing for this long.
 const DISABLE_AFTER: Duration = Duration::from_secs(3 * 24 * 3600);
 
 /// A message to a webhook.
@@ -26,61 +26,61 @@ const DISABLE_AFTER: Duration = Duration::from_secs(3 * 24 * 3600);
 pub struct DeliveryRecord {
     /// Identifier.
     pub id: DeliveryId,
-    /// Grows with every message of the server.
+    /// Number in the order of all messages of the server.
     pub seq: i64,
-    /// Whom it is for.
+    /// The webhook that receives the message.
     pub webhook_id: WebhookId,
-    /// What it tells of.
+    /// The type of event.
     pub event: WebhookEvent,
-    /// The job that it tells of.
+    /// The job of the event.
     pub job_id: JobId,
-    /// The bytes that are sent.
+    /// The bytes of the message.
     pub payload: String,
-    /// When it was entered.
+    /// Time of creation.
     pub created_ms: i64,
-    /// Where it stands.
+    /// State of the delivery.
     pub state: DeliveryState,
-    /// When it is tried next, while it is pending.
+    /// Time of the next attempt while it is pending.
     pub due_ms: i64,
-    /// Attempts since it was entered or replayed.
+    /// Attempts since the message was created or replayed.
     pub tries: i64,
-    /// What was tried, oldest first.
+    /// The last attempts, oldest first.
     #[sqlx(json)]
     pub attempts: Vec<DeliveryAttempt>,
 }
 
 paginated!(DeliveryRecord: seq);
 
-/// An attempt to deliver.
+/// An attempt to deliver a message.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeliveryAttempt {
-    /// When.
+    /// Time of the attempt.
     pub at_ms: i64,
-    /// The status of the answer, if there was one.
+    /// The HTTP status of the answer, if any.
     pub status: Option<u16>,
-    /// Why it failed.
+    /// The reason of the failure.
     pub error: Option<String>,
 }
 
 impl DeliveryAttempt {
-    /// 410 says that nobody will listen there again.
+    /// Status 410 means that the receiver no longer exists.
     fn is_gone(&self) -> bool {
         self.status == Some(410)
     }
 }
 
-/// Outcome of a request to send a message again.
+/// Result of a request to send a message again.
 #[derive(Debug)]
 pub enum Replay {
-    /// It is pending.
+    /// The message is pending.
     Accepted(DeliveryRecord),
-    /// Its webhook is switched off.
+    /// The webhook is disabled.
     SwitchedOff,
-    /// There is no such message.
+    /// The message does not exist.
     NotFound,
 }
 
-/// A webhook that is on, and what it wants to hear of.
+/// An enabled webhook and its events.
 #[derive(FromRow)]
 struct ActiveWebhook {
     id: WebhookId,
@@ -88,7 +88,7 @@ struct ActiveWebhook {
     events: Vec<WebhookEvent>,
 }
 
-/// Enters the messages about a job that has just ended, for the webhooks of its tenant that want them.
+/// Adds the messages about a job that has just ended, for the webhooks of its tenant that subscribe to the event.
 pub(super) async fn enqueue(
     tx: &mut Tx,
     job: &JobId,
@@ -129,7 +129,7 @@ pub(super) async fn enqueue(
 }
 
 impl Store {
-    /// The message that is due first, of each webhook that is on.
+    /// The next due message of each enabled webhook.
     ///
     /// # Errors
     /// When the database fails.
@@ -143,7 +143,7 @@ impl Store {
         Ok(query.bind(now_ms).fetch_all(self.pool()).await?)
     }
 
-    /// A webhook of whichever tenant that is on: to send to it.
+    /// An enabled webhook of any tenant.
     ///
     /// # Errors
     /// When the database fails.
@@ -152,8 +152,8 @@ impl Store {
         Ok(query.bind(id).fetch_optional(self.pool()).await?)
     }
 
-    /// Writes down what became of an attempt: delivered, to be tried again at `retry_at_ms`, or given up where that is none.
-    /// A webhook that could not be reached for days, or is gone, is switched off.
+    /// Records the result of an attempt: delivered, to be retried at `retry_at_ms`, or failed if that is `None`. Disables a
+    /// webhook that has failed for days or answers 410.
     ///
     /// # Errors
     /// When the database fails.
@@ -228,7 +228,7 @@ impl Store {
         Ok(query.fetch_all(self.pool()).await?)
     }
 
-    /// Makes a message to a webhook of a tenant due at once, however often it was tried.
+    /// Makes a message to a webhook of a tenant due immediately, independent of its number of attempts.
     ///
     /// # Errors
     /// When the database fails.
@@ -257,7 +257,7 @@ impl Store {
         }
     }
 
-    /// Forgets messages that were entered long ago.
+    /// Deletes old messages.
     ///
     /// # Errors
     /// When the database fails.
@@ -274,7 +274,7 @@ impl Store {
     }
 }
 
-/// Counts a failure against a webhook.
+/// Records a failure of a webhook.
 async fn record_failure(
     tx: &mut Tx,
     webhook: &WebhookId,
@@ -297,7 +297,7 @@ async fn record_failure(
     } else {
         return Ok(());
     };
-    tracing::warn!(%webhook, why, "switched a webhook off");
+    tracing::warn!(%webhook, why, "disabled a webhook");
     let query = sql::query(
         "UPDATE webhooks SET enabled = FALSE, switched_off_ms = $2, switched_off_because = $3 WHERE id = $1",
     );

@@ -1,5 +1,5 @@
-//! Removes the files of what was deleted, then forgets the rows that nothing refers to. Each step may be the last one of a
-//! server: the next sweep goes on from there.
+//! Removes the files of deleted resources, then deletes the rows that nothing refers to. The server can terminate after any step;
+//! the next run continues.
 
 use std::collections::HashSet;
 
@@ -8,20 +8,20 @@ use crate::store::orphan_cleanup::prune;
 use crate::store::sql;
 use crate::store::{Store, StoreError};
 
-/// What a sweep of deleted things did.
+/// Result of a garbage collection of deleted resources.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct DeletionReport {
-    /// Things whose files were removed.
+    /// Resources whose files were removed.
     pub things: usize,
-    /// Things whose files are still in use.
+    /// Resources whose files are still in use.
     pub waiting: usize,
 }
 
 impl Store {
-    /// Removes the files of what was deleted, unless another row names the same file or a job still reads it.
+    /// Removes the files of deleted resources, unless another row references the same file or a job still reads it.
     ///
     /// # Errors
-    /// When the database or a file operation fails; the next sweep goes on from there.
+    /// When the database or a file operation fails. The next run continues.
     pub async fn remove_deleted_files(&self, now_ms: i64) -> Result<DeletionReport, StoreError> {
         let things = self.discard_exports().await?
             + self.discard_models().await?
@@ -41,7 +41,7 @@ impl Store {
         Ok(DeletionReport { things, waiting: usize::try_from(waiting).unwrap_or(0) })
     }
 
-    /// As [`Store::remove_deleted_files`], also of what a server that died had swept.
+    /// As [`Store::remove_deleted_files`], and also completes the deletions of a terminated server.
     ///
     /// # Errors
     /// See [`Store::remove_deleted_files`].
@@ -50,10 +50,10 @@ impl Store {
         self.purge_deleted().await
     }
 
-    /// Forgets the rows of what was deleted and swept, once no other row refers to them.
+    /// Deletes the rows of deleted resources whose files are removed, if no other row refers to them.
     async fn purge_deleted(&self) -> Result<(), StoreError> {
         let mut tx = self.write().await?;
-        // A job may be the repetition of another one that was deleted, too.
+        // A job may be the retry of another deleted job.
         while sql::query(
             "DELETE FROM jobs WHERE swept_ms IS NOT NULL
                  AND NOT EXISTS (SELECT 1 FROM models WHERE models.job_id = jobs.id)
@@ -91,7 +91,7 @@ impl Store {
         Ok(models.len())
     }
 
-    /// Jobs that have ended: everything that their attempts wrote but the files of their model.
+    /// Jobs that have ended: removes all files of their attempts except the files of their model.
     async fn discard_jobs(&self, now_ms: i64) -> Result<usize, StoreError> {
         let query = "SELECT id FROM jobs WHERE deleted_ms IS NOT NULL AND swept_ms IS NULL
                          AND state IN ('succeeded', 'rejected', 'failed', 'cancelled')";
@@ -159,7 +159,7 @@ impl Store {
         Ok(environments.len())
     }
 
-    /// Removes files that attempts of a job wrote, and the folders that are empty then.
+    /// Removes files that attempts of a job wrote, and folders that are then empty.
     async fn remove_of_job(&self, job: &str, files: Vec<String>) -> Result<(), StoreError> {
         let folder = format!("attempts/{job}");
         if !is_key(&folder) {

@@ -1,7 +1,7 @@
-//! Disk space: whether there is any, and a reserve for what must be written when there is none.
+//! Checks the free disk space, and keeps a reserve for writes on a full disk.
 //!
-//! A job whose checkpoint does not fit must be able to say so in the database, which needs a few kilobytes itself. The reserve
-//! is a file that is given up then, and made again once there is room.
+//! A job whose checkpoint does not fit must record this in the database, which itself needs a few kilobytes. The reserve is a
+//! file that is removed in this case and created again when there is disk space.
 
 use std::fs::File;
 use std::io::ErrorKind;
@@ -14,18 +14,18 @@ use rustix::io::Errno;
 
 use crate::store::StoreError;
 
-/// Bytes of the reserve: some dozens of small transactions.
+/// Size of the reserve, bytes: enough for some dozens of small transactions.
 const RESERVE: u64 = 1 << 20;
-/// Least room, beside the reserve, with which the service counts as able to work.
+/// Minimum free space in addition to the reserve, bytes. With less the service cannot work.
 const MIN_FREE_BYTES: u64 = 1 << 20;
 
-/// The room of one data directory.
+/// The disk space of one data directory.
 #[derive(Clone)]
 pub struct DiskSpace {
     root: PathBuf,
-    /// Bytes of the last write that did not fit; 0 when everything did.
+    /// Bytes of the last write that did not fit; 0 if all writes fit.
     missing: Arc<AtomicU64>,
-    /// True while the reserve is given up.
+    /// True while the reserve is released.
     spent: Arc<AtomicBool>,
 }
 
@@ -34,39 +34,40 @@ impl DiskSpace {
         Self { root: root.to_owned(), missing: Arc::default(), spent: Arc::default() }
     }
 
-    /// Remembers that `bytes` did not fit. [`DiskSpace::check`] then asks for that much.
+    /// Records that `bytes` did not fit. [`DiskSpace::check`] then requires this space.
     pub fn note_shortage(&self, bytes: u64) {
         self.missing.fetch_max(bytes.max(1), Ordering::SeqCst);
     }
 
-    /// Forgets what did not fit, when nobody wants to write it any more.
+    /// Clears the recorded shortage, when the write is no longer wanted.
     pub fn forget_shortage(&self) {
         self.missing.store(0, Ordering::SeqCst);
     }
 
-    /// True after [`DiskSpace::note_shortage`] or [`DiskSpace::spend_reserve`] until a check passes.
+    /// True after [`DiskSpace::note_shortage`] or [`DiskSpace::spend_reserve`] until a check succeeds.
     pub fn is_short(&self) -> bool {
         self.missing.load(Ordering::SeqCst) > 0 || self.spent.load(Ordering::SeqCst)
     }
 
-    /// Gives the reserve up, for a small write that cannot wait. False when it was given up before.
+    /// Releases the reserve for a small write that cannot wait. Returns false if it was already released.
     pub fn spend_reserve(&self) -> bool {
         self.spent.store(true, Ordering::SeqCst);
         match std::fs::remove_file(self.reserve()) {
             Ok(()) => true,
             Err(error) => {
                 if error.kind() != ErrorKind::NotFound {
-                    tracing::warn!(%error, "the reserve cannot be given up");
+                    tracing::warn!(%error, "cannot release the disk reserve");
                 }
                 false
             }
         }
     }
 
-    /// Makes the reserve again if it is gone, and looks whether what did not fit would fit now. Blocks for some file operations.
+    /// Restores the reserve if it is missing, and checks that the write that did not fit would fit now. Blocks for some file
+    /// operations.
     ///
     /// # Errors
-    /// [`StoreError::NoDiskSpace`] when it would not; [`StoreError::File`] when the directory cannot be written at all.
+    /// [`StoreError::NoDiskSpace`] if the space is not sufficient; [`StoreError::File`] if the directory is not writable.
     pub fn check(&self) -> Result<(), StoreError> {
         let bytes = MIN_FREE_BYTES.max(self.missing.load(Ordering::SeqCst));
         let short = |error: std::io::Error| match StoreError::from(error) {
@@ -94,14 +95,14 @@ impl DiskSpace {
         let made = allocate(&file, RESERVE).and_then(|()| file.sync_all());
         match made {
             Ok(()) => self.spent.store(false, Ordering::SeqCst),
-            // Half of it would take from those who need room now.
+            // An incomplete reserve would take space from pending writes.
             Err(_) => drop(std::fs::remove_file(&path)),
         }
         made
     }
 }
 
-/// Takes blocks for `bytes` bytes of a file. A file system that cannot take blocks ahead of their bytes is believed to have room.
+/// Allocates blocks for `bytes` bytes of a file. A file system without allocation is assumed to have enough space.
 fn allocate(file: &File, bytes: u64) -> std::io::Result<()> {
     match fallocate(file, FallocateFlags::empty(), 0, bytes) {
         Err(Errno::OPNOTSUPP | Errno::NOSYS | Errno::INVAL) => file.set_len(bytes),
@@ -121,19 +122,19 @@ mod tests {
             let file = std::fs::metadata(disk_space.reserve()).ok()?;
             Some(std::os::unix::fs::MetadataExt::blocks(&file) * 512 >= RESERVE)
         };
-        assert!(!disk_space.spend_reserve(), "there is none yet");
+        assert!(!disk_space.spend_reserve(), "the reserve does not exist yet");
         disk_space.check().unwrap();
         assert_eq!(
             (blocks(), disk_space.is_short()),
             (Some(true), false),
-            "blocks are taken, not only a length"
+            "blocks are allocated, not only the length set"
         );
         assert!(disk_space.spend_reserve());
         assert_eq!((blocks(), disk_space.is_short()), (None, true));
         disk_space.check().unwrap();
         assert_eq!((blocks(), disk_space.is_short()), (Some(true), false));
         let files = std::fs::read_dir(folder.path()).unwrap().count();
-        assert_eq!(files, 1, "a check leaves nothing else");
+        assert_eq!(files, 1, "a check leaves no other files");
     }
 
     #[test]

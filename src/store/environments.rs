@@ -8,11 +8,11 @@ use crate::store::{EnvironmentRecord, Filter, Page, Store, StoreError};
 use relume_api::{EnvironmentId, ResourceKind, ResourceName, TenantId};
 
 impl Store {
-    /// Records an environment, or returns the one of the same tenant and content that was there first, called what this one is
-    /// called.
+    /// Records an environment. If the tenant already has an environment with the same content, returns that one and changes its
+    /// metadata to those of `environment`.
     ///
     /// # Errors
-    /// [`StoreError::InvalidMetadata`] when the one that was there may not be called so, or when the database fails.
+    /// [`StoreError::InvalidMetadata`] if the existing environment cannot have these metadata. When the database fails.
     pub async fn insert_environment(
         &self,
         tenant: &TenantId,
@@ -70,7 +70,7 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// An environment of a tenant by content.
+    /// An environment of a tenant by the hash of its content.
     ///
     /// # Errors
     /// When the database fails.
@@ -85,7 +85,7 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// Environments of a tenant that are called so, newest first.
+    /// Environments of a tenant that match the filter, newest first.
     ///
     /// # Errors
     /// When the database fails.

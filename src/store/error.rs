@@ -1,30 +1,30 @@
-//! The errors of the store, one for each thing that a caller can do about it.
+//! The errors of the store. Each variant can be handled differently by callers.
 
 use std::error::Error;
 use std::io::ErrorKind;
 
 use relume_api::ResourceName;
 
-/// Why the store refused.
+/// Why a store operation failed.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The disk, a quota or a file-size limit is exhausted. Nothing was published.
     #[error("storage is full")]
     Full,
-    /// The disk is too full to work.
-    #[error("the disk has no room for {bytes} more bytes")]
+    /// The free disk space is too small to work.
+    #[error("the disk does not have space for {bytes} more bytes")]
     NoDiskSpace {
-        /// What is asked for.
+        /// Required space, bytes.
         bytes: u64,
     },
-    /// No more may be stored.
+    /// The storage limit of the server is reached.
     #[error("the storage limit is {limit} bytes: {taken} are stored and {asked} more were requested")]
     StorageLimitExceeded {
-        /// What may be stored, bytes.
+        /// The limit, bytes.
         limit: u64,
-        /// What is stored.
+        /// Stored bytes.
         taken: u64,
-        /// What was asked for beside it.
+        /// Additionally requested bytes.
         asked: u64,
     },
     /// A body is larger than its limit.
@@ -33,137 +33,137 @@ pub enum StoreError {
         /// The limit, bytes.
         limit: u64,
     },
-    /// The transfer was cut off or malformed; the message is the transport's.
+    /// The transfer was interrupted or malformed. The message is that of the transport.
     #[error("the body could not be read: {0}")]
     Body(String),
-    /// No artifact has that key.
+    /// No artifact has this key.
     #[error("{0} does not exist")]
     Missing(String),
-    /// The bytes of an artifact are not those that were stored.
+    /// The bytes of an artifact differ from those that were stored.
     #[error("{0} is damaged: its bytes are not those that were stored")]
     Damaged(String),
-    /// Another process owns the data directory.
+    /// Another process holds the lock of the data directory.
     #[error("the data directory {0} is in use by another server")]
     Locked(String),
-    /// A tenant has as many jobs as it may.
+    /// A tenant has reached its limit of jobs.
     #[error("at most {most} jobs can be queued or running at once")]
     JobQuotaExceeded {
-        /// How many.
+        /// The limit.
         most: u32,
     },
-    /// A tenant has as much as it may.
+    /// A tenant has reached its limit of stored bytes.
     #[error(
         "the storage limit of the tenant is {most} bytes: {taken} are stored and {asked} more were requested"
     )]
     ByteQuotaExceeded {
-        /// How much.
+        /// The limit, bytes.
         most: u64,
-        /// What there is.
+        /// Stored bytes.
         taken: u64,
-        /// What was asked for beside it.
+        /// Additionally requested bytes.
         asked: u64,
     },
-    /// A tenant has as many unfinished uploads as it may.
+    /// A tenant has reached its limit of unfinished uploads.
     #[error(
         "at most {most} uploads can be open at once; complete some and create captures of them, or delete some"
     )]
     UploadQuotaExceeded {
-        /// How many.
+        /// The limit.
         most: u32,
     },
-    /// A tenant has as many exports that wait or run as it may.
+    /// A tenant has reached its limit of queued and running exports.
     #[error("at most {most} exports can be queued or running at once; wait for some, or delete some")]
     ExportQuotaExceeded {
-        /// How many.
+        /// The limit.
         most: u32,
     },
-    /// The bytes of a piece are not those that were promised.
-    #[error("the checksum is not that of the piece")]
+    /// The bytes of a chunk do not match its checksum.
+    #[error("the chunk does not match its checksum")]
     ChecksumMismatch,
-    /// What the request names was deleted meanwhile.
+    /// A resource of the request was deleted in the meantime.
     #[error("{0} was deleted")]
     Deleted(ResourceName),
-    /// A thing may not be called so.
+    /// Metadata of a resource are invalid.
     #[error("{field}: {why}")]
     InvalidMetadata {
-        /// The field that is wrong.
+        /// The invalid field.
         field: &'static str,
-        /// What is wrong with it.
+        /// The reason.
         why: String,
     },
-    /// A tenant has as many webhooks as it may.
+    /// A tenant has reached its limit of webhooks.
     #[error("a tenant can have at most {most} webhooks")]
     TooManyWebhooks {
-        /// How many.
+        /// The limit.
         most: i64,
     },
-    /// The key that asks was revoked meanwhile.
+    /// The key of the caller was revoked in the meantime.
     #[error("the key was revoked")]
     KeyRevoked,
-    /// The same idempotency key came with another request.
+    /// The idempotency key was used with another request.
     #[error("the idempotency key was used with a different request")]
     IdempotencyKeyReused,
-    /// There are artifacts and no database.
+    /// The data directory has artifacts but no database.
     #[error(
         "{0} has stored files but no database: relume.db was moved, removed or not mounted; put it back, restore a backup, or use another data directory"
     )]
     DatabaseMissing(String),
-    /// There is no database to back up.
-    #[error("{0} has no database relume.db: it is no data directory")]
+    /// The data directory has no database.
+    #[error("{0} has no database relume.db: it is not a data directory")]
     NoDatabase(String),
-    /// A folder that was to be made has something in it.
+    /// A folder to be created exists and is not empty.
     #[error("{0} is not empty: name a folder that does not exist yet")]
     NotEmpty(String),
-    /// A folder is no backup.
-    #[error("{path} is no backup: {why}")]
+    /// A folder is not a backup.
+    #[error("{path} is not a backup: {why}")]
     NoBackup {
         /// The folder.
         path: String,
-        /// What is wrong with it.
+        /// The reason.
         why: String,
     },
-    /// The database was written by a newer version.
+    /// The database was written by a newer version of the program.
     #[error(
-        "the database was written by a newer version of relume (schema {found}; this version knows {known}): start that version, or restore the backup from before the update"
+        "the database was written by a newer version of relume (schema {found}; this version supports {known}): start the newer version, or restore the backup from before the update"
     )]
     NewerDatabase {
-        /// Its schema.
+        /// The schema of the database.
         found: i64,
-        /// The newest schema that this version knows.
+        /// The newest schema that this version supports.
         known: i64,
     },
-    /// A server of an older version runs on the database.
+    /// The running server has an older version than this program.
     #[error(
-        "the server that runs here is of an older version (schema {found}; this version knows {known}): use its own relume, or stop it first"
+        "the running server has an older version (schema {found}; this version supports {known}): use the relume program of that version, or stop the server first"
     )]
     OlderServer {
         /// The schema of its database.
         found: i64,
-        /// The newest schema that this version knows.
+        /// The newest schema that this version supports.
         known: i64,
     },
-    /// The database file is not what SQLite wrote.
+    /// The SQLite database file is damaged.
     #[error("the database relume.db is damaged ({0}): restore a backup")]
     DatabaseDamaged(String),
-    /// A database that is to take everything of another has rows already.
-    #[error("the database that is to be copied to is not empty: its table {0} has rows")]
+    /// The destination of a database copy has rows.
+    #[error("the destination database is not empty: its table {0} has rows")]
     DatabaseNotEmpty(&'static str),
-    /// A copied row is not what it was copied from.
-    #[error("row {row} of table {table} came out otherwise: nothing was copied")]
+    /// A copied row differs from the original.
+    #[error("row {row} of table {table} differs after the copy: nothing was copied")]
     CopyDiffers {
         /// The table.
         table: &'static str,
-        /// Number of the row, in the order of copying.
+        /// Index of the row, in the order of copying.
         row: usize,
     },
-    /// Another server works on the database.
+    /// Another server uses the database.
     #[error("the database is in use by another server")]
     DatabaseLocked,
-    /// The database server cannot be reached now.
+    /// The database server cannot be reached.
     #[error("the database cannot be reached: {0}")]
     DatabaseUnreachable(String),
-    /// The object store of artifacts cannot be reached now, or lets nobody in.
-    #[error("the object store of artifacts cannot be used: {0}")]
+    /// The object store cannot be reached, or refuses access.
+    #[error("the object store cannot be used: {0}")]
     ArtifactsUnreachable(String),
     /// The database failed.
     #[error("database: {0}")]
@@ -181,16 +181,16 @@ pub enum StoreError {
 
 impl From<sqlx::Error> for StoreError {
     fn from(error: sqlx::Error) -> Self {
-        // 13 is SQLITE_FULL; 778 is SQLITE_IOERR_WRITE, what SQLite makes of EFBIG and EDQUOT; 4874 is SQLITE_IOERR_SHMSIZE, a
-        // new connection on a full disk.
+        // 13 is SQLITE_FULL. 778 is SQLITE_IOERR_WRITE, which SQLite returns for EFBIG and EDQUOT. 4874 is SQLITE_IOERR_SHMSIZE,
+        // for a new connection on a full disk.
         let code = error.as_database_error().and_then(|e| e.code());
         match code.as_deref() {
             Some("13" | "778" | "4874") => Self::Full,
-            // PostgreSQL's disk_full.
+            // disk_full of PostgreSQL.
             Some("53100") => Self::Full,
             // SQLITE_CORRUPT and SQLITE_NOTADB.
             Some("11" | "26") => Self::DatabaseDamaged(error.to_string()),
-            // PostgreSQL ends connections, or does not take any yet: it stops, starts, or hands over to another.
+            // PostgreSQL closes or refuses connections while it stops, starts or fails over.
             Some("57P01" | "57P02" | "57P03" | "55000" | "08000" | "08003" | "08006") => {
                 Self::DatabaseUnreachable(error.to_string())
             }
@@ -218,7 +218,7 @@ impl From<std::io::Error> for StoreError {
     }
 }
 
-/// True when any error of the chain says that the disk is full.
+/// Whether any error of the chain means that the disk is full.
 fn is_full(error: &(dyn Error + 'static)) -> bool {
     let mut next = Some(error);
     while let Some(error) = next {

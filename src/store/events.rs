@@ -1,4 +1,4 @@
-//! The history of a job, numbered so that a listener can continue where it stopped.
+//! The history of a job. Events are numbered, so that a client can continue after the last one that it received.
 
 use serde_json::Value;
 
@@ -9,7 +9,7 @@ use relume_api::webhooks::WebhookEvent;
 use relume_api::{JobId, TenantId};
 
 impl Store {
-    /// Events of a job of a tenant with a number above `after`, oldest first, 1,000 at most.
+    /// At most 1,000 events of a job of a tenant with numbers above `after`, oldest first.
     ///
     /// # Errors
     /// When the database fails.
@@ -28,8 +28,8 @@ impl Store {
     }
 }
 
-/// Writes down a job's change of state, in the transaction of the change: its event and, where the job has ended, what webhooks
-/// are told of it.
+/// Records a job's change of state in the transaction of the change: its event and, if the job has ended, its messages to
+/// webhooks.
 pub(super) async fn append_state(
     tx: &mut Tx,
     job: &JobId,
@@ -44,7 +44,7 @@ pub(super) async fn append_state(
     }
 }
 
-/// Appends to a job's history, in the transaction of the change that the event reports.
+/// Appends an event to a job's history, in the transaction of the change that it reports.
 pub(super) async fn append(
     tx: &mut Tx,
     job: &JobId,

@@ -1,23 +1,23 @@
-//! Idempotency keys. A key is written in the transaction of the change it guards, so there is no moment at which
-//! the key exists and the change does not: a second request waits for the first and then sees its answer.
+//! Idempotency keys. A key is written in the transaction of the change that it guards, so that a key never exists without its
+//! change: a second request waits for the first and then gets the same answer.
 
 use crate::store::sql::{self, Tx};
 use crate::store::{Store, StoreError};
 use relume_api::TenantId;
 
-/// How long a key is remembered.
+/// Time for which a key is remembered, milliseconds.
 const KEEP_MS: i64 = 24 * 3600 * 1000;
 
-/// A client's promise that two requests with this key are one.
+/// An idempotency key of a client.
 #[derive(Debug, Clone)]
 pub struct IdempotencyKey {
     /// The key.
     pub key: String,
-    /// Hash of the request it came with.
+    /// Hash of the request.
     pub fingerprint: String,
 }
 
-/// The answer that `key` of a tenant was given before.
+/// The recorded answer to `key` of a tenant, if any. Deletes expired keys.
 pub(super) async fn replay(
     tx: &mut Tx,
     tenant: &TenantId,
@@ -37,7 +37,7 @@ pub(super) async fn replay(
     answer(known, key)
 }
 
-/// The answer of the `known` fingerprint and response of a key.
+/// The answer from the `known` fingerprint and response of a key.
 fn answer(known: Option<(String, String)>, key: &IdempotencyKey) -> Result<Option<String>, StoreError> {
     match known {
         Some((fingerprint, _)) if fingerprint != key.fingerprint => Err(StoreError::IdempotencyKeyReused),
@@ -46,10 +46,10 @@ fn answer(known: Option<(String, String)>, key: &IdempotencyKey) -> Result<Optio
 }
 
 impl Store {
-    /// The answer that `key` of a tenant was given before.
+    /// The recorded answer to `key` of a tenant, if any.
     ///
     /// # Errors
-    /// [`StoreError::IdempotencyKeyReused`] when it came with another request.
+    /// [`StoreError::IdempotencyKeyReused`] if the key was used with another request.
     pub async fn replayed(
         &self,
         tenant: &TenantId,
@@ -68,7 +68,7 @@ impl Store {
     }
 }
 
-/// Remembers the answer to `key`.
+/// Records the answer to `key`.
 pub(super) async fn remember(
     tx: &mut Tx,
     tenant: &TenantId,

@@ -1,4 +1,5 @@
-//! A look at a data directory that changes nothing: is the database sound, and is everything there that it names?
+//! Inspects a data directory without changes: the integrity of the database, and the existence and hashes of the referenced
+//! artifacts.
 
 use std::collections::HashSet;
 use std::fs::File;
@@ -13,28 +14,28 @@ use crate::store::{DatabaseUrl, ObjectStoreConfig, StoreError, has_artifacts};
 
 const SCHEMA: &str = "SELECT MAX(version) FROM _sqlx_migrations";
 
-/// What a look at a data directory found.
+/// Result of an inspection.
 #[derive(Debug, Clone, Default)]
 pub struct Inspection {
     /// Schema of the database; `None` when there is no database.
     pub schema: Option<i64>,
-    /// Artifacts that the database names.
+    /// Number of artifacts that the database references.
     pub artifacts: usize,
-    /// What is wrong, a sentence each.
+    /// The faults, one sentence each.
     pub faults: Vec<String>,
-    /// Keys of artifacts that the database does not name; the next start of a server takes them away.
+    /// Keys of artifacts that the database does not reference. The next start of a server removes them.
     pub orphans: Vec<String>,
 }
 
-/// Looks at a data directory with a database of its own, reading every artifact. A server may run on it meanwhile.
+/// Inspects a data directory with its own database and reads every artifact. A server may run at the same time.
 ///
 /// # Errors
-/// When the directory cannot be read; what is wrong with its content is in the answer.
+/// When the directory cannot be read. Faults of its content are in the result.
 pub async fn inspect(root: &Path) -> Result<Inspection, StoreError> {
     inspect_with(root, None, None).await
 }
 
-/// As [`inspect`], with the database at `url` and with artifacts in an object store: all of them are read.
+/// As [`inspect`], with the database at `url` and artifacts in an object store. All artifacts are read.
 ///
 /// # Errors
 /// As [`inspect`]; when the database cannot be reached; [`StoreError::ArtifactsUnreachable`].
@@ -52,7 +53,7 @@ pub async fn inspect_with(
     }
     let remote = config.map(Remote::open).transpose()?;
     match inspect_database(root, url, remote.as_ref(), &mut found).await {
-        // A server that is away is no fault of what it has.
+        // An unreachable server is not a fault of its data.
         Err(error @ (StoreError::Database(_) | StoreError::DatabaseDamaged(_))) if url.is_none() => {
             found.faults.push(error.to_string());
         }
@@ -73,7 +74,7 @@ async fn inspect_database(
     done
 }
 
-/// Looks at the database itself; whether its tables are those that this program knows.
+/// Inspects the database itself. Returns whether its schema is that of this program.
 async fn inspect_schema(looked: &ReadOnlyDatabase, found: &mut Inspection) -> Result<bool, StoreError> {
     let schema = match &looked.pool {
         Pool::Sqlite(pool) => {
@@ -97,7 +98,7 @@ async fn inspect_schema(looked: &ReadOnlyDatabase, found: &mut Inspection) -> Re
         let newer = StoreError::NewerDatabase { found: schema, known: looked.known };
         found.faults.push(newer.to_string());
     }
-    // The next start of a server brings an older one up to date; its tables may lack what is asked for here.
+    // The next start of a server migrates an older database; until then its tables may lack columns of the queries.
     Ok(schema == looked.known)
 }
 
@@ -113,7 +114,7 @@ async fn inspect_artifacts(
     let mut named = references(&looked.pool).await?;
     found.artifacts = named.len();
     if let Some(remote) = remote {
-        // What is here of it is a copy, which is fetched anew when it is damaged.
+        // Local files of these are copies, which are downloaded again if they are damaged.
         let (elsewhere, here) =
             named.into_iter().partition(|reference| !is_never_uploaded(&reference.artifact));
         named = here;
@@ -128,7 +129,7 @@ async fn inspect_artifacts(
     Ok(())
 }
 
-/// As [`compare`], in the object store.
+/// As [`compare`], for artifacts in the object store.
 async fn compare_remote(
     remote: &Remote,
     named: Vec<Reference>,
@@ -140,7 +141,7 @@ async fn compare_remote(
     for Reference { artifact, sha256, owner } in &named {
         match (remote.hash(artifact).await, sha256) {
             (Ok(actual), Some(expected)) if actual != *expected => found.faults.push(format!(
-                "{owner}: {artifact} is damaged in the object store: its bytes are not those that were stored"
+                "{owner}: {artifact} is damaged in the object store: its bytes differ from those that were stored"
             )),
             (Ok(_), _) => {}
             (Err(StoreError::Missing(_)), _) => {
@@ -152,7 +153,8 @@ async fn compare_remote(
     Ok(())
 }
 
-/// What is wrong with the artifacts that are named, and those that are not named: of all, or of those that never leave this machine.
+/// The faults of referenced artifacts, and the keys of unreferenced ones: of all, or of those that are never sent to the object
+/// store.
 fn compare(
     artifacts: &Path,
     named: &[Reference],
@@ -171,7 +173,7 @@ fn fault(artifacts: &Path, Reference { artifact, sha256, owner }: &Reference) ->
     let hashed = File::open(artifacts.join(artifact)).and_then(|mut file| hash_file(&mut file));
     match (hashed, sha256) {
         (Ok(actual), Some(expected)) if actual != *expected => Some(format!(
-            "{owner}: artifacts/{artifact} is damaged: its bytes are not those that were stored"
+            "{owner}: artifacts/{artifact} is damaged: its bytes differ from those that were stored"
         )),
         (Ok(_), _) => None,
         (Err(error), _) if error.kind() == std::io::ErrorKind::NotFound => {

@@ -1,10 +1,10 @@
-//! A job as the API shows it.
+//! The view of a job in the API.
 
 use crate::store::JobRecord;
 use relume_api::jobs::{JobError, JobView};
 
 impl JobRecord {
-    /// As the API shows it, with the number of jobs that run before it while it waits.
+    /// The job as the API shows it. `queue_position` is the number of jobs before it while it is queued.
     pub fn view(self, queue_position: Option<i64>) -> JobView {
         let detail = self.error_detail.unwrap_or_default();
         JobView {
@@ -35,7 +35,7 @@ impl JobRecord {
     }
 }
 
-/// Milliseconds since 1970 as RFC 3339.
+/// Milliseconds since 1970 UTC as RFC 3339.
 pub fn rfc3339(ms: i64) -> String {
     jiff::Timestamp::from_millisecond(ms).unwrap_or_default().to_string()
 }

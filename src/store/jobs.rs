@@ -1,4 +1,4 @@
-//! What clients do with jobs: submit, read, cancel, re-order.
+//! Operations of clients on jobs: submit, read, cancel, change the priority.
 
 use std::collections::HashMap;
 
@@ -13,33 +13,33 @@ use crate::store::{Filter, IdempotencyKey, JobRecord, Page, Store, StoreError, e
 use relume_api::jobs::JobState;
 use relume_api::{JobId, TenantId};
 
-/// Outcome of a submission.
+/// Result of a submission.
 #[derive(Debug, Clone)]
 pub enum Submitted {
-    /// A job was queued; the text is the answer that the key, if any, now remembers.
+    /// A job was queued. The text is the answer, which is recorded under the idempotency key, if any.
     Created(String),
-    /// The key was known; this is its answer.
+    /// The idempotency key was known; this is its recorded answer.
     Replayed(String),
 }
 
-/// Outcome of a request to cancel.
+/// Result of a request to cancel a job.
 #[derive(Debug, Clone)]
 pub enum CancelOutcome {
-    /// It is cancelled or about to be.
+    /// The job is cancelled or will be.
     Accepted(JobRecord),
-    /// It had ended otherwise before.
+    /// The job had already ended in another state.
     AlreadyFinished(JobRecord),
-    /// There is no such job.
+    /// The job does not exist.
     NotFound,
 }
 
 impl Store {
-    /// Queues a job and remembers the answer under its idempotency key, in one transaction.
+    /// Queues a job and records the answer under its idempotency key, in one transaction.
     ///
-    /// `answer` turns the new job and its place in the queue into the response text.
+    /// `answer` turns the new job and its position in the queue into the response text.
     ///
     /// # Errors
-    /// [`StoreError::IdempotencyKeyReused`] when the key came with another request before.
+    /// [`StoreError::IdempotencyKeyReused`] if the key was used with another request.
     pub async fn submit_job(
         &self,
         job: &JobRecord,
@@ -83,7 +83,7 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// Jobs of a tenant that are called so, newest first, of one state or of all.
+    /// Jobs of a tenant that match the filter, newest first, optionally of one state.
     ///
     /// # Errors
     /// When the database fails.
@@ -106,7 +106,7 @@ impl Store {
         Ok(query.bind(page.at()).fetch_all(self.pool()).await?)
     }
 
-    /// How many queued jobs, of whichever tenant, run before this one, at most [`MAX_QUEUE_POSITION`]; `None` when it is not queued.
+    /// Number of queued jobs of all tenants before this one, at most [`MAX_QUEUE_POSITION`]; `None` if the job is not queued.
     ///
     /// # Errors
     /// When the database fails.
@@ -114,7 +114,7 @@ impl Store {
         Ok(sql::query_scalar(POSITION).bind(id).bind(MAX_QUEUE_POSITION).fetch_optional(self.pool()).await?)
     }
 
-    /// As [`Store::queue_position`] of all that are queued, but for those with [`MAX_QUEUE_POSITION`] or more before them.
+    /// As [`Store::queue_position`], for all queued jobs that have fewer than [`MAX_QUEUE_POSITION`] before them.
     ///
     /// # Errors
     /// When the database fails.
@@ -123,7 +123,7 @@ impl Store {
         Ok(query.fetch_all(self.pool()).await?.into_iter().collect())
     }
 
-    /// Number of jobs of all tenants in each state that has any.
+    /// Number of jobs of all tenants by state, for states with at least one job.
     ///
     /// # Errors
     /// When the database fails.
@@ -132,7 +132,7 @@ impl Store {
         Ok(query.fetch_all(self.pool()).await?)
     }
 
-    /// Cancels a queued job at once, asks a running one to stop.
+    /// Cancels a queued job immediately; asks a running job to stop.
     ///
     /// # Errors
     /// When the database fails.
@@ -171,7 +171,7 @@ impl Store {
         })
     }
 
-    /// Changes the priority of a job that waits; `false` when it does not wait.
+    /// Changes the priority of a queued job; `false` if it is not queued.
     ///
     /// # Errors
     /// When the database fails.
@@ -190,10 +190,10 @@ impl Store {
     }
 }
 
-/// Farther back in the queue nobody counts: it would take longer, the longer the queue is.
+/// Largest queue position that is counted, because counting takes longer for longer queues.
 pub const MAX_QUEUE_POSITION: i64 = 1000;
 
-/// The first jobs of the queue, and how many run before each.
+/// The first jobs of the queue, with the number of jobs before each.
 macro_rules! head {
     ($most:literal) => {
         concat!(

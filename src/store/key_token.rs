@@ -1,5 +1,5 @@
-//! What a key looks like: `rlm_`, its identifier, `_`, 256 random bits; all in lower-case hex, so that scanners find keys
-//! that leaked. Only a hash of it is kept: with that many random bits a plain one is enough.
+//! The format of an API key: `rlm_`, its identifier, `_`, 256 random bits; all in lower-case hex, so that scanners can find
+//! leaked keys. The server stores only a hash of the key. A plain hash is sufficient for this number of random bits.
 
 use sha2::{Digest, Sha256};
 
@@ -9,19 +9,19 @@ use relume_api::KeyId;
 
 const PREFIX: &str = "rlm_";
 
-/// A key as its bearer sends it.
+/// An API key as its bearer sends it.
 pub struct KeyToken {
     /// Identifier.
     pub id: KeyId,
-    /// Hash of the whole text, lower-case hex.
+    /// Hash of the whole key, lower-case hex.
     pub sha256: String,
 }
 
 impl KeyToken {
-    /// A fresh key and its text, which is not kept anywhere.
+    /// Creates a key. The returned text is not stored anywhere.
     ///
     /// # Errors
-    /// When the operating system gives no random bits.
+    /// If the operating system provides no random bits.
     pub fn mint() -> Result<(Self, String), StoreError> {
         let (mut id, mut secret) = ([0u8; 8], [0u8; 32]);
         for bytes in [&mut id[..], &mut secret[..]] {
@@ -31,7 +31,7 @@ impl KeyToken {
         Ok((Self { id: hex(&id).into(), sha256: hex(&Sha256::digest(&text)) }, text))
     }
 
-    /// What a bearer sent, if it has the form of a key.
+    /// Parses a key; `None` if the text does not have the format of a key.
     pub fn parse(text: &str) -> Option<Self> {
         let (id, secret) = text.strip_prefix(PREFIX)?.split_once('_')?;
         let is_hex = |text: &str, digits: usize| {

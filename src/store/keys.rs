@@ -1,4 +1,4 @@
-//! API keys. Rows are never removed: a revoked key still names who did what, and a server that once had a key does not
+//! API keys. Rows are never removed: a revoked key still identifies a past caller, and a server that once had a key does not
 //! become open again.
 
 use std::path::Path;
@@ -11,26 +11,27 @@ use crate::store::{KeyRecord, KeyToken, Page, Store, StoreError};
 use relume_api::keys::Scope;
 use relume_api::{KeyId, TenantId};
 
-/// A key to be made.
+/// An API key to create.
 #[derive(Debug, Clone)]
 pub struct NewKeyRecord {
-    /// A name for people.
+    /// Descriptive name.
     pub name: String,
-    /// Whose it is.
+    /// The tenant.
     pub tenant: TenantId,
-    /// What it may do.
+    /// The permitted scopes.
     pub scopes: Vec<Scope>,
-    /// When it expires.
+    /// Expiry time.
     pub expires_ms: Option<i64>,
-    /// The key that makes it, with which it ends.
+    /// The key of the creator. If that key is revoked, this one is revoked as well.
     pub made_by: Option<KeyId>,
 }
 
 impl Store {
-    /// Makes a key. The text is what its bearer sends; only a hash of it is kept.
+    /// Creates a key. The returned text is the key for its bearer; the server stores only its hash.
     ///
     /// # Errors
-    /// [`StoreError::KeyRevoked`] when the key that makes it is revoked; when the database or the operating system's source of random bits fails.
+    /// [`StoreError::KeyRevoked`] if the key of the creator is revoked. When the database fails, or the operating system provides
+    /// no random bits.
     pub async fn create_key(
         &self,
         key: &NewKeyRecord,
@@ -59,7 +60,7 @@ impl Store {
         Ok((stored, text))
     }
 
-    /// A key by identifier, of whichever tenant: to find out who a caller is.
+    /// A key of any tenant by identifier, to identify a caller.
     ///
     /// # Errors
     /// When the database fails.
@@ -67,7 +68,7 @@ impl Store {
         self.key(None, id).await
     }
 
-    /// A key of a tenant, or of any for those who may see all.
+    /// A key of the tenant `of`, or of any tenant if `None`.
     ///
     /// # Errors
     /// When the database fails.
@@ -76,7 +77,7 @@ impl Store {
         Ok(query.bind(id).bind(of).fetch_optional(self.pool()).await?)
     }
 
-    /// Keys of a tenant or of all, newest first.
+    /// Keys of the tenant `of`, or of all tenants if `None`, newest first.
     ///
     /// # Errors
     /// When the database fails.
@@ -91,8 +92,8 @@ impl Store {
         Ok(query.fetch_all(self.pool()).await?)
     }
 
-    /// Revokes a key of a tenant, or of any for those who may, and all keys that came of it, whose identifiers are in the
-    /// answer. What was revoked before stays as it is.
+    /// Revokes a key of the tenant `of`, or of any tenant if `None`, and all keys that were created with it. The answer contains
+    /// their identifiers. Keys that are already revoked are not changed.
     ///
     /// # Errors
     /// When the database fails.
@@ -122,7 +123,7 @@ impl Store {
         Ok(Some((key, took_along)))
     }
 
-    /// Records that a key was used.
+    /// Records the use of a key.
     ///
     /// # Errors
     /// When the database fails.
@@ -133,7 +134,7 @@ impl Store {
         Ok(tx.commit().await?)
     }
 
-    /// Whether a key was ever made.
+    /// Whether any key was ever created.
     ///
     /// # Errors
     /// When the database fails.
@@ -144,10 +145,10 @@ impl Store {
 
 const ANY: &str = "SELECT EXISTS (SELECT 1 FROM keys)";
 
-/// As [`Store::any_key`], of a data directory or a database server that is not opened by this and not changed.
+/// As [`Store::any_key`], for a data directory or a database server that is not opened as a store and not changed.
 ///
 /// # Errors
-/// When there is a database that cannot be read.
+/// When an existing database cannot be read.
 pub async fn has_keys(root: &Path, database: Option<&DatabaseUrl>) -> Result<bool, StoreError> {
     if let Some(url) = database {
         return DatabaseServer::has(url, "keys", ANY).await;

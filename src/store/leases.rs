@@ -1,4 +1,4 @@
-//! What workers do with jobs. Every write carries the lease token; zero rows changed means that the lease is lost.
+//! Operations of workers on jobs. Every write carries the lease token; if it changes no row, the lease is lost.
 
 use serde_json::json;
 use sqlx::types::Json;
@@ -9,10 +9,10 @@ use relume_api::jobs::{JobProgress, JobState};
 use relume_api::work::{LeaseStatus, Release};
 use relume_api::{JobId, WorkerId};
 
-/// Who asks for a job.
+/// The worker that claims a job.
 #[derive(Debug, Clone, Default)]
 pub struct Claimant {
-    /// The worker; none where it is not registered.
+    /// The worker; `None` if it is not registered.
     pub worker: Option<WorkerId>,
     /// Whether it has a GPU.
     pub has_gpu: bool,
@@ -30,7 +30,7 @@ fn status_of(state: Option<JobState>) -> LeaseStatus {
 }
 
 impl Store {
-    /// Gives the next queued job that a worker may have to it under a fresh token, in one statement.
+    /// Assigns the next queued job that the worker can run, with a fresh token, in one statement.
     ///
     /// # Errors
     /// When the database fails.
@@ -53,7 +53,7 @@ impl Store {
         Ok(job)
     }
 
-    /// The job that `token` holds, of whichever tenant.
+    /// The job, of any tenant, that is leased with `token`.
     ///
     /// # Errors
     /// When the database fails.
@@ -64,7 +64,7 @@ impl Store {
         Ok(query.bind(job).bind(token).fetch_optional(self.pool()).await?)
     }
 
-    /// Whether `token` still holds the job. Changes nothing.
+    /// Whether `token` still holds the lease of the job. Changes nothing.
     ///
     /// # Errors
     /// When the database fails.
@@ -74,7 +74,7 @@ impl Store {
         Ok(status_of(state))
     }
 
-    /// Records progress with an event and extends the lease.
+    /// Records progress with an event and renews the lease.
     ///
     /// # Errors
     /// When the database fails.
@@ -123,7 +123,7 @@ impl Store {
         now_ms: i64,
     ) -> Result<LeaseStatus, StoreError> {
         let mut tx = self.write_row().await?;
-        // Nobody takes the lease away before the warning is written down.
+        // This update locks the row, so that the lease cannot be lost before the warning is recorded.
         let query = "UPDATE jobs SET lease_token = $2 WHERE id = $1 AND lease_token = $2 RETURNING state";
         let state: Option<JobState> =
             sql::query_scalar(query).bind(job).bind(token).fetch_optional(&mut tx).await?;
@@ -135,7 +135,7 @@ impl Store {
         Ok(status)
     }
 
-    /// Points the job at a checkpoint that is in the artifact store already. Returns the one it replaces.
+    /// Records a checkpoint that is already in the artifact store. Returns the key of the checkpoint that it replaces.
     ///
     /// # Errors
     /// When the database fails.
@@ -169,7 +169,7 @@ impl Store {
         Ok((status_of(state), previous.flatten().filter(|key| key != artifact)))
     }
 
-    /// Publishes the model and ends the job as succeeded or rejected, in one transaction: both happen or neither.
+    /// Publishes the model and ends the job as succeeded or rejected, in one transaction.
     ///
     /// # Errors
     /// When the database fails.
@@ -209,7 +209,7 @@ impl Store {
         Ok(LeaseStatus::Held)
     }
 
-    /// Ends a job for good: `Cancelled`, or `Failed` with a stable code and a reason.
+    /// Ends a job: as `Cancelled`, or as `Failed` with a stable code and a reason.
     ///
     /// # Errors
     /// When the database fails.
@@ -245,7 +245,7 @@ impl Store {
         Ok(LeaseStatus::Held)
     }
 
-    /// Gives a job back to the queue.
+    /// Returns a job to the queue.
     ///
     /// # Errors
     /// When the database fails.
@@ -262,7 +262,7 @@ impl Store {
             "UPDATE jobs SET state = 'queued', lease_token = NULL, lease_until_ms = NULL,
                  eta_seconds = NULL, idle_attempts = CASE WHEN idle_attempts < $3 THEN 0 ELSE idle_attempts - $3 END,
                  step = CASE WHEN $4 THEN COALESCE(checkpoint_step, 0) ELSE step END,
-                 message = CASE WHEN $4 THEN 'waiting for room on the disk' ELSE message END
+                 message = CASE WHEN $4 THEN 'waiting for disk space' ELSE message END
              WHERE id = $1 AND lease_token = $2 AND state = 'running' RETURNING step",
         )
         .bind(job)
@@ -273,7 +273,8 @@ impl Store {
         .await?;
         let Some(step) = step else { return Ok(LeaseStatus::Lost) };
         if waits {
-            let message = format!("the disk is full; the job waits for room and goes on from step {step}");
+            let message =
+                format!("the disk is full; the job waits for disk space and continues from step {step}");
             events::append(&mut tx, job, now_ms, "warning", json!({ "message": message })).await?;
         }
         let queued = json!({ "state": JobState::Queued });
@@ -282,11 +283,11 @@ impl Store {
         Ok(LeaseStatus::Held)
     }
 
-    /// Takes leases back: of registered workers those that have run out by `now_ms` and those of workers that were not seen since
-    /// `seen_ms`; of others those that ran out before `expired_ms`.
+    /// Reclaims leases. For registered workers: leases that ended before `now_ms`, and leases of workers without a heartbeat
+    /// since `seen_ms`. For other workers: leases that ended before `expired_ms`.
     ///
-    /// A running job goes back to the queue, or fails with `attempts_exhausted` after `max_idle` attempts without
-    /// a checkpoint; one that was cancelling is cancelled. Returns the jobs touched.
+    /// A running job is returned to the queue, or fails with `attempts_exhausted` after `max_idle` attempts without a checkpoint;
+    /// a job in the state `cancelling` is cancelled. Returns the changed jobs.
     ///
     /// # Errors
     /// When the database fails.
@@ -328,7 +329,7 @@ impl Store {
     }
 }
 
-/// Gives the next queued job away. On PostgreSQL one that somebody else is about to take is passed over, not waited for.
+/// Assigns the next queued job. On PostgreSQL a job that another server is assigning at the same time is skipped.
 const CLAIM: Sql = {
     macro_rules! claim {
         ($has_all:literal, $lock:literal) => {

@@ -1,4 +1,4 @@
-//! What things are called: changed, and looked for.
+//! Changes of metadata, and lists filtered by metadata.
 
 use std::collections::BTreeMap;
 
@@ -9,18 +9,19 @@ use crate::store::{Store, StoreError};
 use relume_api::metadata::{MetadataChange, ResourceMetadata};
 use relume_api::{ResourceKind, ResourceName, TenantId};
 
-/// Which things of a list are wanted; all where nothing is said.
+/// A filter for lists; empty fields match everything.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Filter {
-    /// Only those with this name.
+    /// Only resources with this name.
     pub name: Option<String>,
-    /// Only those that another system calls so.
+    /// Only resources with this external identifier.
     pub external_id: Option<String>,
-    /// Only those with all of these labels.
+    /// Only resources with all of these labels.
     pub labels: BTreeMap<String, String>,
 }
 
-/// A query for the things of a table that a [`Filter`] wants, which is bound first: `$1` to `$3`. `$more` goes on after the condition.
+/// A query for the rows of a table that match a [`Filter`], whose values are bound first: `$1` to `$3`. `$more` continues the
+/// condition.
 macro_rules! listed {
     ($table:literal, $more:literal) => {
         $crate::store::sql::Sql::each(
@@ -44,16 +45,16 @@ macro_rules! listed {
 }
 pub(super) use listed;
 
-/// A query that `listed!` made, for this filter; `$4` and further are to be bound.
+/// Binds the filter to a query of `listed!`. The caller binds `$4` and further parameters.
 pub(super) fn filtered<T: Record>(query: Sql, filter: &Filter) -> QueryAs<T> {
     sql::query_as(query).bind(&filter.name).bind(&filter.external_id).bind(Json(&filter.labels))
 }
 
 impl Store {
-    /// Changes what a thing of a tenant is called; `None` when there is none.
+    /// Changes the metadata of a resource of a tenant; `None` if it does not exist.
     ///
     /// # Errors
-    /// [`StoreError::InvalidMetadata`] when it may not be called so; when the database fails.
+    /// [`StoreError::InvalidMetadata`] if the new metadata are invalid. When the database fails.
     pub async fn change_metadata(
         &self,
         tenant: &TenantId,
@@ -67,7 +68,7 @@ impl Store {
     }
 }
 
-/// As [`Store::change_metadata`], as part of a transaction.
+/// As [`Store::change_metadata`], within a transaction.
 pub(super) async fn change_metadata_in_tx(
     tx: &mut Tx,
     tenant: &TenantId,
@@ -90,7 +91,8 @@ pub(super) async fn change_metadata_in_tx(
 
 type Statements = &'static [(&'static str, &'static str)];
 
-/// Reads and writes what the thing `$1` (of the tenant `$2`, where it is read) is called, in each place where it may be.
+/// The statements that read and write the metadata of the resource `$1` (of the tenant `$2`, for reading), in each table that can
+/// contain it.
 fn statements(kind: ResourceKind) -> Statements {
     macro_rules! of {
         ($table:literal, $id:literal, $condition:literal) => {
@@ -117,7 +119,7 @@ fn statements(kind: ResourceKind) -> Statements {
         };
     }
     match kind {
-        // One that is being made is an upload still.
+        // A capture that is being made is still an upload.
         ResourceKind::Capture => &[of!("captures"), of!("uploads", "capture_id", "")],
         ResourceKind::Environment => &[of!("environments")],
         ResourceKind::Job => &[of!("jobs")],

@@ -1,6 +1,7 @@
-//! Metadata in SQLite or PostgreSQL and artifacts in a folder or an object store. SQL text lives here and nowhere else.
+//! Metadata in SQLite or PostgreSQL, and artifacts in a folder or an object store. Only this module contains SQL.
 //!
-//! Every change that a client may have been told of is one transaction; SQLite works in WAL mode with `synchronous=FULL`. Times come in as milliseconds since 1970 UTC, so that callers can inject a clock.
+//! Every change that is reported to a client is one transaction. SQLite uses WAL mode with `synchronous=FULL`. Times are
+//! milliseconds since 1970 UTC and are passed in, so that callers can inject a clock.
 
 mod admission;
 mod artifacts;
@@ -103,27 +104,27 @@ pub struct Store {
     disk_space: DiskSpace,
     quota: Quota,
     root: PathBuf,
-    /// Most bytes that are stored; `u64::MAX` when the disk alone is the limit.
+    /// Storage limit, bytes; `u64::MAX` if only the disk limits the storage.
     disk_limit: Arc<AtomicU64>,
-    /// Held while a file and the row that names it are made or removed together.
+    /// Held while a file and its row are created or removed together.
     publish_lock: Arc<Mutex<()>>,
-    /// What is on its way to it.
+    /// The bytes of pending uploads.
     pending_quota: PendingQuota,
-    /// Which uploads somebody works on.
+    /// The locks of uploads.
     upload_locks: UploadLocks,
 }
 
 impl Store {
-    /// Opens the data directory, creates what is missing and migrates the schema. A directory that is made is its owner's alone.
+    /// Opens the data directory, creates missing files and migrates the schema. A new directory is accessible only to its owner.
     ///
     /// # Errors
-    /// When the directory cannot be created, or the database cannot be opened or migrated; [`StoreError::DatabaseMissing`] when
-    /// there are artifacts and no database.
+    /// When the directory cannot be created, or the database cannot be opened or migrated; [`StoreError::DatabaseMissing`] if
+    /// there are artifacts but no database.
     pub async fn open(root: &Path) -> Result<Self, StoreError> {
         Self::open_with(root, None).await
     }
 
-    /// As [`Store::open`], with the metadata on a PostgreSQL server where one is given.
+    /// As [`Store::open`], with the metadata in the PostgreSQL database at `url`, if given.
     ///
     /// # Errors
     /// As [`Store::open`].
@@ -146,19 +147,19 @@ impl Store {
         })
     }
 
-    /// With artifacts in an object store, of which the folder is a cache from then on. Nothing is asked of it yet.
+    /// Stores artifacts in an object store, with the folder as its cache. Sends no request yet.
     ///
     /// # Errors
-    /// When a setting of it is missing or wrong, or the folder cannot be read.
+    /// If a setting is missing or invalid, or if the folder cannot be read.
     pub fn with_artifacts(mut self, config: &ObjectStoreConfig) -> Result<Self, StoreError> {
         self.artifacts = self.artifacts.with_object_store(config)?;
         Ok(self)
     }
 
-    /// Opens the data directory of a server that runs. Nothing is migrated beneath it.
+    /// Opens the data directory of a running server. Does not migrate.
     ///
     /// # Errors
-    /// As [`Store::open`]; [`StoreError::OlderServer`] when the server would not understand this version's schema.
+    /// As [`Store::open`]; [`StoreError::OlderServer`] if the running server does not support this version's schema.
     pub async fn open_existing(root: &Path, url: Option<&DatabaseUrl>) -> Result<Self, StoreError> {
         let (found, known) = match url {
             Some(url) => (DatabaseServer::schema_of(url).await?, database::server_schema()),
@@ -171,17 +172,17 @@ impl Store {
         }
     }
 
-    /// The artifact side.
+    /// The artifact store.
     pub fn artifacts(&self) -> &Artifacts {
         &self.artifacts
     }
 
-    /// Disk space.
+    /// The disk space of the data directory.
     pub fn disk_space(&self) -> &DiskSpace {
         &self.disk_space
     }
 
-    /// As [`DiskSpace::check`], off the async threads.
+    /// As [`DiskSpace::check`], on a blocking thread.
     ///
     /// # Errors
     /// See [`DiskSpace::check`].
@@ -191,7 +192,7 @@ impl Store {
         checked.unwrap_or_else(|error| Err(std::io::Error::other(error).into()))
     }
 
-    /// Refuses new work while there is no room for the work that waits, or no more may be stored.
+    /// Refuses new work while the disk space is insufficient or the storage limit is reached.
     async fn admit(&self) -> Result<(), StoreError> {
         self.admit_bytes(0).await?;
         if self.disk_space.is_short() { self.check_disk_space().await } else { Ok(()) }
@@ -202,10 +203,10 @@ impl Store {
         &self.root
     }
 
-    /// Answers when the database does.
+    /// Checks that the database answers.
     ///
     /// # Errors
-    /// When it does not.
+    /// When the database does not answer.
     pub async fn ping(&self) -> Result<(), StoreError> {
         sql::query("SELECT 1").execute(self.pool()).await?;
         Ok(())
@@ -223,7 +224,7 @@ impl Store {
         Ok(sql::query_scalar(query).fetch_one(self.pool()).await?)
     }
 
-    /// Bytes that the database takes.
+    /// Size of the database, bytes.
     ///
     /// # Errors
     /// When the database does not answer.
@@ -236,8 +237,8 @@ impl Store {
         Ok(u64::try_from(bytes).unwrap_or(0))
     }
 
-    /// The time of the database, milliseconds since 1970 UTC: one time for all that share it. `None` of a database that has no clock
-    /// but this machine's.
+    /// The time of the database, milliseconds since 1970 UTC, which is the same for all servers that share it. `None` for a
+    /// database without its own clock.
     ///
     /// # Errors
     /// When the database does not answer.
@@ -245,15 +246,15 @@ impl Store {
         self.database.time().await
     }
 
-    /// Becomes the first server on a shared database until what this returns is dropped.
+    /// Takes the lock of the first server on a shared database, until the returned value is dropped.
     ///
     /// # Errors
-    /// [`StoreError::DatabaseLocked`] when there is one; when the database cannot be reached.
+    /// [`StoreError::DatabaseLocked`] if another server holds it. When the database cannot be reached.
     pub async fn lock_database(&self) -> Result<ServerLock, StoreError> {
         self.database.lock().await
     }
 
-    /// Hears of what anybody who shares the database writes about jobs.
+    /// Starts to listen for changes of jobs by all servers that share the database.
     ///
     /// # Errors
     /// When the database cannot be reached.
@@ -261,7 +262,7 @@ impl Store {
         self.database.listen().await
     }
 
-    /// Closes every connection; the WAL is folded into the database file.
+    /// Closes all connections. SQLite then writes the WAL into the database file.
     pub async fn close(&self) {
         self.database.close().await;
     }
@@ -284,7 +285,7 @@ impl Store {
 /// Name of the database while a backup is restored.
 const RESTORING: &str = "relume.db.restoring";
 
-/// True when there are artifacts in a data directory, or a backup was half restored to it.
+/// Whether a data directory has artifacts or the result of an incomplete restore.
 fn has_artifacts(root: &Path) -> Result<bool, StoreError> {
     Ok(root.join(RESTORING).exists() || !references::artifact_keys(&root.join("artifacts"))?.is_empty())
 }

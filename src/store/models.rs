@@ -20,7 +20,7 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// Models of a tenant that are called so, newest first.
+    /// Models of a tenant that match the filter, newest first.
     ///
     /// # Errors
     /// When the database fails.
@@ -41,7 +41,7 @@ impl Store {
         Ok(query.fetch_all(self.pool()).await?)
     }
 
-    /// The identifiers of everything that there are pictures of: all models and captures of all tenants.
+    /// The identifiers of all resources that can have thumbnails: models and captures of all tenants.
     ///
     /// # Errors
     /// When the database fails.
@@ -66,11 +66,11 @@ impl Store {
         Ok(query.bind(id).bind(tenant).fetch_all(self.pool()).await?)
     }
 
-    /// One file of a model, once its bytes are found to be those that were stored; `None` also when the model is deleted
-    /// meanwhile.
+    /// One file of a model, after its hash is verified; `None` if the file does not exist or the model was deleted in the
+    /// meantime.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] and [`StoreError::Missing`] when they are not, or when the database fails.
+    /// [`StoreError::Damaged`] or [`StoreError::Missing`] if the file is damaged or missing. When the database fails.
     pub async fn verified_model_file(
         &self,
         tenant: &TenantId,

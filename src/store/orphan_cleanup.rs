@@ -1,4 +1,4 @@
-//! Artifacts that nothing refers to: what a server that died while it wrote has left.
+//! Startup cleanup of orphans: artifacts without a reference, which a terminated server has left.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::File;
@@ -11,24 +11,25 @@ use crate::store::sql;
 use crate::store::uploads::UPLOADS;
 use crate::store::{Store, StoreError};
 
-/// Where artifacts go that the database knows nothing of.
+/// The folder of orphans that the database does not know.
 pub(super) const ORPHANS: &str = "orphans";
-/// How long they stay there.
+/// Time for which orphans are kept.
 pub(super) const ORPHAN_RETENTION: Duration = Duration::from_secs(7 * 24 * 3600);
 
-/// What a sweep did.
+/// Result of a cleanup.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct OrphanCleanup {
-    /// Files that were removed.
+    /// Number of removed files.
     pub removed: usize,
-    /// Files that were set aside.
+    /// Number of files that were moved to the orphans folder.
     pub set_aside: usize,
 }
 
 impl Store {
-    /// Removes what attempts of known jobs, uploads that ended and exports left, and sets aside for a week what the database knows nothing
-    /// of: it may be an old copy. What a worker elsewhere has sent of the model that it is about to publish stays, and so do files with
-    /// names that this program does not give. The caller must hold the node lock.
+    /// Removes leftover files of known jobs' attempts, of ended uploads and of exports. Moves files that the database does not
+    /// know to the orphans folder for seven days, because the database may be an old copy. Keeps files that a remote worker has
+    /// sent for the model that it is about to publish, and files with names that this program does not create. The caller must
+    /// hold the lock of the data directory.
     ///
     /// # Errors
     /// When the database or a file operation fails.
@@ -46,7 +47,7 @@ impl Store {
     }
 }
 
-/// `jobs` says of each job which attempt of it is on its way; 0 where none is.
+/// `jobs` contains the number of the running attempt of each job; 0 if none is running.
 fn clean_up(
     root: &Path,
     named: &HashSet<String>,
@@ -64,11 +65,11 @@ fn clean_up(
             continue;
         }
         if can_be_had_again || matches!(attempt, Some((Some(_), _))) {
-            tracing::info!(key, "removed what an attempt, an upload or an export left");
+            tracing::info!(key, "removed a leftover file of an attempt, an upload or an export");
             std::fs::remove_file(&path)?;
             swept.removed += 1;
         } else {
-            tracing::warn!(key, "set aside a file that the database does not know");
+            tracing::warn!(key, "moved a file that the database does not know to the orphans folder");
             set_aside(&path, &root.join(ORPHANS).join(&key), now)?;
             swept.set_aside += 1;
         }
@@ -80,28 +81,28 @@ fn clean_up(
     Ok(swept)
 }
 
-/// Job and number of the attempt that a file is of.
+/// Job and attempt number in the key of a file.
 fn attempt_of(key: &str) -> Option<(&str, i64)> {
     let (job, rest) = key.strip_prefix("attempts/")?.split_once('/')?;
-    // A number that is none was never that of an attempt.
+    // An invalid number matches no attempt.
     Some((job, rest.split('/').next()?.parse().unwrap_or(-1)))
 }
 
-/// Moves a file; its time of modification is that of the move from then on.
+/// Moves a file and sets its modification time to `now`.
 fn set_aside(from: &Path, to: &Path, now: SystemTime) -> std::io::Result<()> {
     if let Some(folder) = to.parent() {
         std::fs::create_dir_all(folder)?;
     }
     File::options().write(true).open(from)?.set_modified(now)?;
     std::fs::rename(from, to)?;
-    // Where both were names of one file already, a rename leaves both: a capture of an upload that was set aside before.
+    // If both paths are links to one file, a rename keeps both. This occurs for a capture of an upload that was moved before.
     match std::fs::remove_file(from) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error),
         _ => Ok(()),
     }
 }
 
-/// Removes the files that were set aside long ago.
+/// Removes expired orphans.
 fn expire(folder: &Path, now: SystemTime) -> std::io::Result<usize> {
     let mut removed = 0;
     for entry in entries(folder)? {
@@ -138,7 +139,7 @@ pub(super) fn prune(folder: &Path) -> std::io::Result<()> {
     }
 }
 
-/// What is in a folder; nothing when it is not there.
+/// The entries of a folder; none if it does not exist.
 fn entries(folder: &Path) -> std::io::Result<impl Iterator<Item = std::io::Result<std::fs::DirEntry>>> {
     match std::fs::read_dir(folder) {
         Ok(entries) => Ok(Some(entries).into_iter().flatten()),

@@ -1,33 +1,33 @@
-//! Parts of lists. A part begins at a cursor, not at an item: the item may be gone by the time the next part is asked for.
+//! Pages of lists. A page begins at a cursor, not at an item, because the item may be deleted before the next page is requested.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// A part of a list, newest first.
+/// A page of a list, newest first.
 #[derive(Debug, Clone, Default)]
 pub struct Page {
-    /// Most items to return.
+    /// Maximum number of items.
     pub limit: u32,
-    /// Only items that come after this cursor.
+    /// Only items after this cursor.
     pub before: Option<PageCursor>,
 }
 
-/// A cursor in a list, right after an item. As text: the item's identifier, a point, and a number.
+/// A position in a list, directly after an item. Its text has the item's identifier, a point and a number.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PageCursor {
-    /// What the list is ordered by, largest first: milliseconds since 1970, or a number of its own.
+    /// The value that orders the list, largest first: milliseconds since 1970, or a number of the list.
     pub at: i64,
-    /// Identifier of the item, which orders those of the same time.
+    /// Identifier of the item, which orders items with the same value.
     pub id: String,
 }
 
 impl Page {
-    /// Identifier of the item that the part comes after.
+    /// Identifier of the item before the page.
     pub(super) fn id(&self) -> Option<&str> {
         self.before.as_ref().map(|cursor| cursor.id.as_str())
     }
 
-    /// Time of that item.
+    /// Ordering value of that item.
     pub(super) fn at(&self) -> Option<i64> {
         self.before.as_ref().map(|cursor| cursor.at)
     }
@@ -45,22 +45,22 @@ impl FromStr for PageCursor {
     fn from_str(text: &str) -> Result<Self, InvalidCursor> {
         let (id, at) = text.rsplit_once('.').ok_or(InvalidCursor)?;
         let cursor = Self { at: at.parse().map_err(|_| InvalidCursor)?, id: id.to_owned() };
-        // One text a cursor: no signs, no zeros in front.
+        // Each cursor has a single text: no signs, no leading zeros.
         if cursor.to_string() == text && !id.is_empty() { Ok(cursor) } else { Err(InvalidCursor) }
     }
 }
 
-/// The text is no cursor.
+/// The text is not a cursor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct InvalidCursor;
 
-/// What stands in a list.
+/// An item of a list.
 pub trait Paginated {
-    /// Where.
+    /// The position after the item.
     fn cursor(&self) -> PageCursor;
 }
 
-/// Records that stand in lists, by the field that orders them.
+/// Implements [`Paginated`] for records, by the field that orders them.
 macro_rules! paginated {
     ($($record:ty: $at:ident),+) => {$(
         impl $crate::store::Paginated for $record {

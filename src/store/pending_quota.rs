@@ -1,11 +1,11 @@
-//! What is on its way to the store, of whom.
+//! The bytes of pending uploads, per tenant.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use relume_api::TenantId;
 
-/// What is on its way, of whom.
+/// The bytes of pending uploads, per tenant.
 #[derive(Debug, Clone, Default)]
 pub(super) struct PendingQuota(Arc<Mutex<PendingBytes>>);
 
@@ -16,12 +16,12 @@ struct PendingBytes {
 }
 
 impl PendingQuota {
-    /// Bytes of everybody.
+    /// Bytes of all tenants.
     pub(super) fn all(&self) -> u64 {
         self.sums().all
     }
 
-    /// A reservation of nothing yet.
+    /// Opens an empty reservation.
     pub(super) fn open(&self, tenant: &TenantId) -> Reservation {
         Reservation { pending_quota: self.clone(), tenant: tenant.clone(), bytes: 0 }
     }
@@ -57,22 +57,22 @@ impl Reservation {
         self.bytes = bytes;
     }
 
-    /// Whose they are.
+    /// The tenant.
     pub(super) fn tenant(&self) -> &TenantId {
         &self.tenant
     }
 
-    /// How many they are.
+    /// The number of reserved bytes.
     pub(super) fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Gives `bytes` back.
+    /// Releases `bytes`.
     pub(super) fn release(&mut self, bytes: u64) {
         self.set(self.bytes.saturating_sub(bytes));
     }
 
-    /// Gives back what is reserved beyond `bytes`.
+    /// Releases the bytes beyond `bytes`.
     pub(super) fn shrink_to(&mut self, bytes: u64) {
         if bytes < self.bytes {
             self.set(bytes);

@@ -1,12 +1,12 @@
-//! Where uploads get their place: file and row together, one after another, so that no sweep comes in between.
+//! Publication of uploads: moves the file and writes the row under one lock, so that no garbage collection runs in between.
 
 use crate::store::sql;
 use crate::store::{CaptureRecord, EnvironmentRecord, StagedUpload, Store, StoreError, UploadLock};
 use relume_api::TenantId;
 
 impl Store {
-    /// Publishes an upload and records it, or returns the capture of the same tenant and content that was there first. Pieces that
-    /// it came in are gone then.
+    /// Publishes an upload and records it as a capture, or returns the tenant's existing capture of the same content. Then
+    /// removes its resumable upload, if any.
     ///
     /// # Errors
     /// When the move or the database fails.
@@ -25,12 +25,12 @@ impl Store {
             && !self.has_upload(pieces.id()).await?
             && let Err(error) = self.drop_upload(pieces).await
         {
-            tracing::warn!(%error, "the next start removes the bytes of an upload");
+            tracing::warn!(%error, "cannot remove the bytes of an upload; the next start removes them");
         }
         Ok(stored)
     }
 
-    /// As [`Store::publish_capture`], of an environment.
+    /// As [`Store::publish_capture`], for an environment.
     ///
     /// # Errors
     /// When the move or the database fails.
@@ -46,8 +46,8 @@ impl Store {
         self.insert_environment(tenant, environment).await
     }
 
-    /// Puts a complete upload in the place of an artifact of the same content that is damaged or missing; drops it otherwise.
-    /// Gives the upload back when nothing names that artifact any more.
+    /// Replaces a damaged or missing artifact by a complete upload of the same content; otherwise discards the upload. Returns
+    /// the upload if nothing references the artifact any more.
     ///
     /// # Errors
     /// When the artifact cannot be read or the move fails.
@@ -74,7 +74,7 @@ impl Store {
         Ok(Some(incoming))
     }
 
-    /// Whether an artifact is what an upload of the same content is, here and in the object store.
+    /// Whether an artifact matches an upload of the same content, on this machine and in the object store.
     async fn is_intact(&self, artifact: &str, incoming: &StagedUpload) -> Result<bool, StoreError> {
         match self.artifacts.verify(artifact, &incoming.sha256).await {
             Err(StoreError::Damaged(_) | StoreError::Missing(_)) => Ok(false),
@@ -86,7 +86,7 @@ impl Store {
         }
     }
 
-    /// Drops an upload whose content is there already, with the pieces that it came in.
+    /// Discards an upload whose content already exists, including its resumable upload.
     ///
     /// # Errors
     /// When the database or the file system fails.

@@ -1,4 +1,4 @@
-//! What was found of a model when its job ended.
+//! The quality of a model at the end of its job.
 
 use serde_json::{Value, json};
 
@@ -8,30 +8,30 @@ use relume_api::jobs::JobState;
 use relume_api::quality::{Figures, MissedFigure, QualityGate};
 use relume_api::{JobId, ModelId};
 
-/// Most warnings that are repeated at the end of a job.
+/// Maximum number of warnings that are repeated at the end of a job.
 const MAX_WARNINGS: i64 = 100;
 
-/// A model's figures, and those that miss what its job asked for.
+/// The figures of a model, and those that miss the quality gate.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct QualityResult {
-    /// All of them.
+    /// All figures.
     pub figures: Figures,
-    /// Those that are not what was asked for.
+    /// Figures that miss the quality gate.
     pub missed: Vec<MissedFigure>,
 }
 
 impl QualityResult {
-    /// Compares `figures` with what a job asks for.
+    /// Compares `figures` with the quality gate of a job.
     pub fn new(figures: Figures, gate: &QualityGate) -> Self {
         Self { missed: gate.misses(&figures), figures }
     }
 
-    /// How the job ends.
+    /// The state in which the job ends.
     pub fn state(&self) -> JobState {
         if self.missed.is_empty() { JobState::Succeeded } else { JobState::Rejected }
     }
 
-    /// What the job's last event says.
+    /// The data of the job's last event.
     pub(super) fn event(&self, model: &ModelId) -> Value {
         let mut event = json!({ "state": self.state(), "model": model, "figures": self.figures });
         if !self.missed.is_empty() {
@@ -42,7 +42,7 @@ impl QualityResult {
 }
 
 impl Store {
-    /// What was warned of in a job's history, in order, each once.
+    /// The distinct warnings in a job's history, in order.
     ///
     /// # Errors
     /// When the database fails.

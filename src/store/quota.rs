@@ -1,10 +1,11 @@
-//! How much one tenant may have.
+//! The quota of a tenant.
 
-/// How much each tenant may have; what has no number is not bounded.
+/// The quota of each tenant; `None` is unlimited.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Quota {
-    /// Jobs that wait or run.
+    /// Queued and running jobs.
     pub jobs: Option<u32>,
-    /// Bytes of captures, environments, models, exports and unfinished uploads. What several tenants have counts for each.
+    /// Bytes of captures, environments, models, exports and unfinished uploads. Content of several tenants counts for each of
+    /// them.
     pub bytes: Option<u64>,
 }

@@ -1,4 +1,4 @@
-//! Bodies on their way to disk, hashed as they arrive.
+//! Streams request bodies to disk and hashes them.
 
 use std::pin::Pin;
 
@@ -15,12 +15,12 @@ use crate::store::{Store, StoreError};
 use relume_api::TenantId;
 
 impl Store {
-    /// Streams a body of a tenant to disk, hashing it. Its bytes count as stored as they arrive. After an error nothing of it is
-    /// left.
+    /// Streams a body of a tenant to disk and hashes it. Its bytes count as stored while they arrive. After an error nothing is
+    /// left on disk.
     ///
     /// # Errors
-    /// [`StoreError::TooLarge`] beyond `limit` bytes, [`StoreError::Body`] when the sender fails, [`StoreError::Full`] when the disk
-    /// is full, [`StoreError::ByteQuotaExceeded`] and [`StoreError::StorageLimitExceeded`] as soon as no more may be stored.
+    /// [`StoreError::TooLarge`] beyond `limit` bytes, [`StoreError::Body`] if the sender fails, [`StoreError::Full`] if the disk
+    /// is full, [`StoreError::ByteQuotaExceeded`] and [`StoreError::StorageLimitExceeded`] as soon as a limit is exceeded.
     pub async fn receive<E: std::fmt::Display>(
         &self,
         tenant: &TenantId,
@@ -46,7 +46,7 @@ impl Store {
         }
     }
 
-    /// Copies `body` into `upload`, hashing and counting.
+    /// Copies `body` into `upload` and updates its hash and size.
     async fn copy<E: std::fmt::Display>(
         &self,
         upload: &mut WriteMultipart,

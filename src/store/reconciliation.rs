@@ -1,5 +1,5 @@
-//! Peace between a folder of artifacts, the object store and the database: what only this machine has is sent there, and what
-//! nothing refers to there goes. Another machine may be writing meanwhile: what is younger than a day is left alone.
+//! Object-store reconciliation: sends local artifacts to the object store and removes objects without a reference. Objects
+//! younger than a day are kept, because another machine may be writing them.
 
 use std::collections::{HashMap, HashSet};
 use std::time::{Duration, SystemTime};
@@ -11,27 +11,28 @@ use crate::store::references::{is_artifact_name, references};
 use crate::store::sql;
 use crate::store::{Store, StoreError};
 
-/// How old an object is at least that nothing refers to, before it goes.
+/// Minimum age of an unreferenced object before it is removed.
 const MIN_ORPHAN_AGE: Duration = Duration::from_secs(24 * 3600);
 
-/// What was done.
+/// Result of a reconciliation.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ReconciliationReport {
     /// Files that were sent to the object store.
     pub sent: usize,
     /// Objects that were removed.
     pub removed: usize,
-    /// Objects that were set aside.
+    /// Objects that were moved to the orphans folder.
     pub set_aside: usize,
 }
 
 impl Store {
-    /// Sends what only this machine has and the database names to the object store; removes there what attempts of known jobs and
-    /// exports left, and sets aside for a week what the database knows nothing of. Does nothing without an object store. The
-    /// caller must hold the node lock, and be the only server on the database.
+    /// Sends artifacts that the database references and that only this machine has to the object store. There it removes leftover
+    /// objects of known jobs' attempts and of exports, and moves objects that the database does not know to the orphans folder
+    /// for seven days. Does nothing without an object store. The caller must hold the lock of the data directory and be the only
+    /// server on the database.
     ///
     /// # Errors
-    /// When the database, the object store or a file fails; the next time goes on from there.
+    /// When the database, the object store or a file operation fails. The next run continues.
     pub async fn reconcile_artifacts(&self, now: SystemTime) -> Result<ReconciliationReport, StoreError> {
         let Some(remote) = self.artifacts.remote() else { return Ok(ReconciliationReport::default()) };
         let mut report = ReconciliationReport::default();
@@ -58,7 +59,8 @@ impl Store {
         Ok(report)
     }
 
-    /// Sends files that the database names and the object store, which has these objects, lacks; how many.
+    /// Sends referenced files that are missing in the object store; `sizes` are those of its objects. Returns the number of
+    /// files.
     async fn upload_local_only_files(&self, sizes: &HashMap<&str, u64>) -> Result<usize, StoreError> {
         let mut sent = 0;
         for reference in references(self.pool()).await? {
@@ -70,7 +72,7 @@ impl Store {
             }
             match self.artifacts.upload_local(key, sha256).await {
                 Ok(true) => {
-                    tracing::info!(key, "sent an artifact to the object store that only this machine had");
+                    tracing::info!(key, "sent a local artifact to the object store");
                     sent += 1;
                 }
                 Ok(false) => {}
@@ -83,14 +85,14 @@ impl Store {
         Ok(sent)
     }
 
-    /// Removes an object, or sets it aside, unless the database names it by now.
+    /// Removes an object or moves it to the orphans folder, unless the database references it by now.
     async fn remove_or_set_aside(
         &self,
         remote: &Remote,
         key: &str,
         report: &mut ReconciliationReport,
     ) -> Result<(), StoreError> {
-        // What gets its place meanwhile is looked for in the object store once it has the publish lock.
+        // A concurrent publication waits for this lock and then checks whether the object store has the object.
         let _publish_guard = self.publish_lock.lock().await;
         if references(self.pool()).await?.iter().any(|reference| reference.artifact == key) {
             return Ok(());
@@ -104,11 +106,11 @@ impl Store {
             None => key.starts_with(EXPORTS),
         };
         if is_known {
-            tracing::info!(key, "removed from the object store what an attempt or an export left");
+            tracing::info!(key, "removed a leftover object of an attempt or an export");
             remote.remove(key).await?;
             report.removed += 1;
         } else {
-            tracing::warn!(key, "set aside an object that the database does not know");
+            tracing::warn!(key, "moved an object that the database does not know to the orphans folder");
             remote.rename(key, &format!("{ORPHANS}/{key}")).await?;
             report.set_aside += 1;
         }

@@ -21,15 +21,15 @@ pub struct CaptureRecord {
     pub bytes: i64,
     /// Key of the archive in the artifact store.
     pub artifact: String,
-    /// What it is called.
+    /// Metadata.
     #[sqlx(flatten)]
     pub metadata: ResourceMetadata,
-    /// What validation found.
+    /// The result of validation.
     #[sqlx(json)]
     pub report: CaptureReport,
     /// Time of upload.
     pub created_ms: i64,
-    /// Hash of the photographs without poses that it was made of, lower-case hex.
+    /// Hash of the source photographs without poses, lower-case hex.
     pub made_of: Option<String>,
 }
 
@@ -40,7 +40,7 @@ pub struct EnvironmentRecord {
     pub id: EnvironmentId,
     /// Hash of the file's bytes, lower-case hex.
     pub sha256: String,
-    /// What it is called.
+    /// Metadata.
     #[sqlx(flatten)]
     pub metadata: ResourceMetadata,
     /// Size of the file.
@@ -51,7 +51,7 @@ pub struct EnvironmentRecord {
     pub width: i64,
     /// Rows.
     pub height: i64,
-    /// What was mended.
+    /// Warnings about corrected values.
     #[sqlx(json)]
     pub warnings: Vec<String>,
     /// Time of upload.
@@ -63,53 +63,53 @@ pub struct EnvironmentRecord {
 pub struct JobRecord {
     /// Identifier.
     pub id: JobId,
-    /// Whose it is.
+    /// The tenant.
     pub tenant: TenantId,
-    /// What was asked for.
+    /// The request.
     #[sqlx(flatten)]
     pub request: NewJob,
-    /// The job that this one repeats.
+    /// The job that this job retries.
     pub retry_of: Option<JobId>,
-    /// The trace of the request that made it, as a W3C `traceparent`. For operators: clients do not see it.
+    /// The trace of the request that created the job, as a W3C `traceparent`. It is for operators; clients do not see it.
     pub traceparent: Option<String>,
-    /// Where it stands.
+    /// State of the job.
     pub state: JobState,
     /// Time of submission.
     pub created_ms: i64,
     /// Time of the first claim.
     pub started_ms: Option<i64>,
-    /// Time it became terminal.
+    /// Time at which it ended.
     pub finished_ms: Option<i64>,
-    /// The worker that has it or had it last.
+    /// The worker that runs the job or ran it last.
     pub worker: Option<WorkerId>,
-    /// Claims so far.
+    /// Number of claims so far.
     pub attempts: i64,
-    /// Claims since the last stored checkpoint.
+    /// Number of claims since the last stored checkpoint.
     pub idle_attempts: i64,
     /// Progress of the training.
     #[sqlx(flatten)]
     pub progress: JobProgress,
     /// Key of the last checkpoint.
     pub checkpoint: Option<String>,
-    /// Hash of the last checkpoint's bytes, lower-case hex; none of checkpoints from before it was kept.
+    /// Hash of the last checkpoint's bytes, lower-case hex; `None` for checkpoints of versions that did not store it.
     pub checkpoint_sha256: Option<String>,
     /// Step of the last checkpoint.
     pub checkpoint_step: Option<i64>,
-    /// What was measured of its model.
+    /// The accuracy of the model.
     #[sqlx(json(nullable))]
     pub figures: Option<Figures>,
     /// The published model.
     pub model_id: Option<ModelId>,
-    /// When that model was deleted.
+    /// Time at which the model was deleted.
     pub model_deleted_ms: Option<i64>,
     /// Stable code of the failure.
     pub error_code: Option<String>,
-    /// What failed, for people.
+    /// Description of the failure.
     pub error_detail: Option<String>,
 }
 
 impl JobRecord {
-    /// A job of `total` steps of a tenant that waits for a worker.
+    /// A queued job of a tenant with `total` steps.
     pub fn queued(tenant: TenantId, id: JobId, request: NewJob, total: i64, created_ms: i64) -> Self {
         Self {
             id,
@@ -140,11 +140,11 @@ impl JobRecord {
 /// One entry of a job's history.
 #[derive(Debug, Clone, PartialEq, Eq, FromRow)]
 pub struct EventRecord {
-    /// Grows with every event of the server.
+    /// Number in the order of all events of the server.
     pub seq: i64,
     /// The job.
     pub job_id: JobId,
-    /// When.
+    /// Time of the event.
     pub at_ms: i64,
     /// `state`, `progress`, `checkpoint` or `warning`.
     pub kind: String,
@@ -159,11 +159,11 @@ pub struct ModelRecord {
     pub id: ModelId,
     /// The job that made it.
     pub job_id: JobId,
-    /// The capture it shows.
+    /// The capture that it was trained on.
     pub capture_id: CaptureId,
     /// Number of Gaussians.
     pub gaussians: i64,
-    /// What it is called.
+    /// Metadata.
     #[sqlx(flatten)]
     pub metadata: ResourceMetadata,
     /// The model card.
@@ -180,7 +180,7 @@ pub struct ModelFile {
     pub name: String,
     /// Media type.
     pub content_type: String,
-    /// Size.
+    /// Size, bytes.
     pub bytes: i64,
     /// Hash of the bytes, lower-case hex.
     pub sha256: String,
@@ -193,29 +193,29 @@ pub struct ModelFile {
 pub struct KeyRecord {
     /// Identifier.
     pub id: KeyId,
-    /// A name for people.
+    /// Descriptive name.
     pub name: String,
-    /// Whose it is.
+    /// The tenant.
     pub tenant: TenantId,
-    /// What it may do.
+    /// The permitted scopes.
     #[sqlx(json)]
     pub scopes: Vec<Scope>,
-    /// Hash of the key's text, lower-case hex.
+    /// Hash of the whole key, lower-case hex.
     pub secret_sha256: String,
-    /// The key that made it.
+    /// The key of the creator.
     pub made_by: Option<KeyId>,
-    /// When it was made.
+    /// Time of creation.
     pub created_ms: i64,
-    /// When it expires.
+    /// Expiry time.
     pub expires_ms: Option<i64>,
-    /// When it was used last, to a minute.
+    /// Time of the last use, with a resolution of a minute.
     pub last_used_ms: Option<i64>,
-    /// When it was revoked.
+    /// Time of revocation.
     pub revoked_ms: Option<i64>,
 }
 
 impl KeyRecord {
-    /// Whether it can be used.
+    /// Whether the key is neither revoked nor expired.
     pub fn is_valid(&self, now_ms: i64) -> bool {
         self.revoked_ms.is_none() && self.expires_ms.is_none_or(|end| now_ms < end)
     }

@@ -1,4 +1,4 @@
-//! What the database says is among the artifacts, and what is there.
+//! The artifacts that the database references, and the artifacts on disk.
 
 use std::path::Path;
 
@@ -10,18 +10,18 @@ use crate::store::exports::EXPORTS;
 use crate::store::sql::{self, On};
 use crate::store::uploads::UPLOADS;
 
-/// An artifact that the database names.
+/// An artifact that the database references.
 #[derive(Debug, FromRow)]
 pub(super) struct Reference {
     /// Its key.
     pub(super) artifact: String,
-    /// Its hash, if one was kept.
+    /// Its hash, if stored.
     pub(super) sha256: Option<String>,
-    /// Whose it is, for people.
+    /// Description of the row that references it.
     pub(super) owner: String,
 }
 
-/// Every artifact that the database names.
+/// All artifacts that the database references.
 pub(super) async fn references<'c>(on: impl Into<On<'c>>) -> Result<Vec<Reference>, StoreError> {
     let query = sql::query_as(
         "SELECT artifact, sha256, 'capture ' || id AS owner FROM captures WHERE deleted_ms IS NULL
@@ -36,7 +36,7 @@ pub(super) async fn references<'c>(on: impl Into<On<'c>>) -> Result<Vec<Referenc
     Ok(query.fetch_all(on).await?)
 }
 
-/// Every name in the database that becomes a path, of what was deleted too.
+/// All values in the database that become paths, including those of deleted resources.
 pub(super) async fn names<'c>(on: impl Into<On<'c>>) -> Result<Vec<String>, StoreError> {
     let query = sql::query_scalar(
         "SELECT artifact FROM captures UNION SELECT artifact FROM environments UNION SELECT artifact FROM model_files
@@ -47,7 +47,7 @@ pub(super) async fn names<'c>(on: impl Into<On<'c>>) -> Result<Vec<String>, Stor
     Ok(query.fetch_all(on).await?)
 }
 
-/// The keys of all files under `artifacts` that have a name which only this program gives. Blocks.
+/// The keys of all files under `artifacts` whose names have the format of this program. Blocks.
 pub(super) fn artifact_keys(artifacts: &Path) -> std::io::Result<Vec<String>> {
     let mut keys = Vec::new();
     for family in ["captures", "environments", UPLOADS, EXPORTS] {
@@ -60,7 +60,7 @@ pub(super) fn artifact_keys(artifacts: &Path) -> std::io::Result<Vec<String>> {
     Ok(keys)
 }
 
-/// Whether only this program gives such a name.
+/// Whether a key has the format of this program.
 pub(super) fn is_artifact_name(key: &str) -> bool {
     let parts: Vec<&str> = key.split('/').collect();
     match parts[..] {
@@ -79,7 +79,7 @@ pub(super) fn of_job(artifacts: &Path, job: &str) -> std::io::Result<Vec<String>
     Ok(keys)
 }
 
-/// Adds the files `depth` folders below `folder` to `keys`, which begin with `prefix`.
+/// Adds the files `depth` levels below `folder` to `keys`; their keys begin with `prefix`.
 fn files(folder: &Path, prefix: &str, depth: usize, keys: &mut Vec<String>) -> std::io::Result<()> {
     let entries = match std::fs::read_dir(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
@@ -99,7 +99,7 @@ fn files(folder: &Path, prefix: &str, depth: usize, keys: &mut Vec<String>) -> s
     Ok(())
 }
 
-/// A sha256 in lower-case hex; an unfinished file of that name has `#` and a number behind it.
+/// Whether a name is a sha256 in lower-case hex. Unfinished files have a suffix of `#` and a number.
 fn is_hash(name: &str) -> bool {
     let name = name.split('#').next().unwrap_or_default();
     name.len() == 64 && name.bytes().all(|c| c.is_ascii_digit() || (b'a'..=b'f').contains(&c))

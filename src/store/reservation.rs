@@ -1,33 +1,34 @@
-//! Bytes that are on their way count as stored before they are, so that uploads together do not pass what one alone may not.
+//! Reservations: bytes of pending uploads count as stored, so that concurrent uploads together cannot exceed a limit.
 
 use crate::store::pending_quota::Reservation;
 use crate::store::{Store, StoreError};
 use relume_api::TenantId;
 
-/// Bytes that are reserved ahead of those that arrived.
+/// Bytes that are reserved in addition to those that have arrived.
 const RESERVE_AHEAD_BYTES: u64 = 16 << 20;
 
 impl Store {
-    /// A reservation of nothing yet.
+    /// Opens an empty reservation.
     pub(super) fn reservation(&self, tenant: &TenantId) -> Reservation {
         self.pending_quota.open(tenant)
     }
 
-    /// Makes sure that at least `bytes` are reserved.
+    /// Reserves at least `bytes`.
     ///
     /// # Errors
-    /// [`StoreError::ByteQuotaExceeded`] and [`StoreError::StorageLimitExceeded`] when that is more than may be; nothing changes then.
+    /// [`StoreError::ByteQuotaExceeded`] and [`StoreError::StorageLimitExceeded`] if a limit would be exceeded. Then nothing
+    /// changes.
     pub(super) async fn reserve(&self, held: &mut Reservation, bytes: u64) -> Result<(), StoreError> {
         let asked = bytes.saturating_sub(held.bytes());
         if asked == 0 {
             return Ok(());
         }
-        // What arrives gets published and leaves the pending quota at once: it is seen here once, never twice.
+        // Publication removes bytes from the pending quota under this lock, so that no byte is counted twice or missed.
         let _publish_guard = self.publish_lock.lock().await;
         let quota = self.quota_allowance(held.tenant()).await?;
         let disk = self.disk_allowance().await?;
         quota.admit(asked).and_then(|()| disk.admit(asked))?;
-        // Where little is left, little is taken ahead of others.
+        // If little space is left, little is reserved in advance.
         let left = quota.left().min(disk.left()) - asked;
         held.set(bytes + RESERVE_AHEAD_BYTES.min(left / 64));
         Ok(())
@@ -55,7 +56,7 @@ mod tests {
             "{refused:?}"
         );
         store.reserve(&mut held[1], 40).await.unwrap();
-        assert!(store.admit_bytes_of(&a, 1).await.is_err(), "an upload that has not begun, too");
+        assert!(store.admit_bytes_of(&a, 1).await.is_err(), "a new upload is refused as well");
         let refused = store.reserve(&mut held[2], 51).await;
         assert!(
             matches!(refused, Err(StoreError::StorageLimitExceeded { limit: 150, taken: 100, asked: 51 })),
@@ -64,12 +65,12 @@ mod tests {
         assert_eq!(
             (store.pending_quota.all(), store.pending_quota.of(&b)),
             (100, 0),
-            "what is refused takes nothing"
+            "a refused reservation reserves nothing"
         );
         drop(held);
         assert_eq!((store.pending_quota.all(), store.pending_quota.of(&a)), (0, 0));
         let mut alone = store.reservation(&a);
         store.reserve(&mut alone, 20).await.unwrap();
-        assert_eq!(store.pending_quota.of(&a), 21, "some is reserved ahead, and little where little is left");
+        assert_eq!(store.pending_quota.of(&a), 21, "little is reserved in advance if little is left");
     }
 }

@@ -1,4 +1,4 @@
-//! How long things are kept.
+//! Retention of resources.
 
 use std::time::Duration;
 
@@ -6,21 +6,21 @@ use crate::store::sql;
 use crate::store::{Deletion, Store, StoreError};
 use relume_api::{ResourceKind, ResourceName, TenantId};
 
-/// How long things are kept; what has no time, or the label `keep:true`, is kept until it is deleted.
+/// The retention of resources. Resources without a retention, or with the label `keep:true`, are kept until they are deleted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Retention {
-    /// Jobs, since they ended.
+    /// Of jobs, since their end.
     pub jobs: Option<Duration>,
-    /// Captures, since their upload and the submission of their newest job.
+    /// Of captures, since their upload and the submission of their newest job.
     pub captures: Option<Duration>,
-    /// Models, since their publication.
+    /// Of models, since their publication.
     pub models: Option<Duration>,
-    /// Exports, since they ended.
+    /// Of exports, since their end.
     pub exports: Option<Duration>,
 }
 
-/// The things of a kind that are older than `$1`, oldest first; few at a time, so that no sweep takes long.
-/// A label `keep:true` keeps them.
+/// Resources of a kind that are older than `$1`, oldest first, with a limit so that no run takes long. Resources with the label
+/// `keep:true` are excluded.
 const EXPIRED: [(ResourceKind, &str); 3] = [
     (
         ResourceKind::Job,
@@ -45,7 +45,7 @@ const EXPIRED: [(ResourceKind, &str); 3] = [
 ];
 
 impl Store {
-    /// Deletes what has been kept for long enough and is not needed. Returns what was deleted beside exports.
+    /// Deletes resources beyond their retention that are not needed. Returns the deleted resources without exports.
     ///
     /// # Errors
     /// When the database fails.
@@ -64,7 +64,7 @@ impl Store {
             for (id, tenant) in ids {
                 let name = ResourceName::new(kind, id);
                 if self.delete(&tenant, &name, false, now_ms).await? == Deletion::Done {
-                    tracing::info!(%name, "deleted what was kept for long enough");
+                    tracing::info!(%name, "deleted a resource at the end of its retention");
                     deleted.push(name);
                 }
             }
@@ -72,7 +72,7 @@ impl Store {
         if let Some(keep) = retention.exports {
             let count = self.expire_exports(keep, now_ms).await?;
             if count > 0 {
-                tracing::info!(count, "deleted exports that were kept for long enough");
+                tracing::info!(count, "deleted exports at the end of their retention");
             }
         }
         Ok(deleted)

@@ -1,5 +1,5 @@
-//! Statements that run on either database. Their text is the same for both: parameters are `$1`, `$2`, ..., and what only one of
-//! them knows has a text for each ([`Sql`]).
+//! Statements that run on both databases. Parameters are `$1`, `$2`, ... in both. If the syntax differs, a statement has one text
+//! for each database ([`Sql`]).
 
 use sqlx::postgres::{PgArguments, PgRow};
 use sqlx::sqlite::{SqliteArguments, SqliteRow};
@@ -9,7 +9,7 @@ use sqlx::{
 };
 use tokio::sync::OwnedMutexGuard;
 
-/// Text of a statement.
+/// The text of a statement.
 #[derive(Debug, Clone)]
 pub(super) struct Sql {
     sqlite: SqlStr,
@@ -17,12 +17,12 @@ pub(super) struct Sql {
 }
 
 impl Sql {
-    /// A text for each.
+    /// A separate text for each database.
     pub(super) const fn each(sqlite: &'static str, postgres: &'static str) -> Self {
         Self { sqlite: SqlStr::from_static(sqlite), postgres: SqlStr::from_static(postgres) }
     }
 
-    /// A text that the program put together of names that are its own.
+    /// A text that the program composed of its own identifiers.
     pub(super) fn composed(text: String) -> Self {
         let text = AssertSqlSafe(text).into_sql_str();
         Self { sqlite: text.clone(), postgres: text }
@@ -35,15 +35,15 @@ impl From<&'static str> for Sql {
     }
 }
 
-/// A transaction. Dropped without a commit it is rolled back.
+/// A transaction. It is rolled back if it is dropped without a commit.
 pub(super) enum Tx {
     Sqlite(Transaction<'static, Sqlite>),
-    /// With what keeps other transactions of this process waiting.
+    /// With the guard that blocks other write transactions of this process.
     Postgres(Transaction<'static, Postgres>, Option<OwnedMutexGuard<()>>),
 }
 
 impl Tx {
-    /// Makes what was done last.
+    /// Commits the transaction.
     pub(super) async fn commit(self) -> Result<(), sqlx::Error> {
         match self {
             Self::Sqlite(tx) => tx.commit().await,
@@ -60,7 +60,7 @@ pub(super) enum Pool {
 }
 
 impl Pool {
-    /// Closes every connection.
+    /// Closes all connections.
     pub(super) async fn close(&self) {
         match self {
             Self::Sqlite(pool) => pool.close().await,
@@ -69,7 +69,7 @@ impl Pool {
     }
 }
 
-/// Where a statement runs.
+/// The pool or transaction on which a statement runs.
 pub(super) enum On<'c> {
     SqlitePool(&'c SqlitePool),
     Sqlite(&'c mut SqliteConnection),
@@ -101,7 +101,7 @@ impl<'c> From<&'c SqlitePool> for On<'c> {
     }
 }
 
-/// A value that both databases take.
+/// A value that can be bound in both databases.
 pub(super) trait Value<'q>:
     Encode<'q, Sqlite> + Type<Sqlite> + Encode<'q, Postgres> + Type<Postgres>
 {
@@ -109,7 +109,7 @@ pub(super) trait Value<'q>:
 
 impl<'q, T> Value<'q> for T where T: Encode<'q, Sqlite> + Type<Sqlite> + Encode<'q, Postgres> + Type<Postgres> {}
 
-/// A row that is read from both.
+/// A row type that can be read from both databases.
 pub(super) trait Record:
     for<'r> FromRow<'r, SqliteRow> + for<'r> FromRow<'r, PgRow> + Send + Unpin
 {
@@ -154,7 +154,7 @@ where
     QueryScalar(query_as(sql))
 }
 
-/// Runs a query on whichever it is for: `$make` is the function of sqlx, `$method` what is wanted of it.
+/// Runs a query on its database: `$make` is the function of sqlx, `$method` the method to call.
 macro_rules! run {
     ($query:expr, $on:expr, $make:path, $method:ident) => {{
         let query: Query = $query;
@@ -171,7 +171,7 @@ macro_rules! run {
 }
 
 impl Query {
-    /// Gives the next parameter.
+    /// Binds the next parameter.
     pub(super) fn bind<'q, T: Value<'q>>(mut self, value: T) -> Self {
         let bound = self.sqlite.add(&value).and_then(|()| self.postgres.add(&value));
         if let Err(error) = bound {
@@ -180,7 +180,7 @@ impl Query {
         self
     }
 
-    /// Every row, read by the function for its database.
+    /// All rows, read by the function for the database.
     pub(super) async fn fetch_rows<'c, T>(
         self,
         on: impl Into<On<'c>>,
@@ -200,7 +200,7 @@ impl Query {
         }
     }
 
-    /// Runs it. Returns how many rows it changed.
+    /// Executes the statement. Returns the number of changed rows.
     pub(super) async fn execute<'c>(self, on: impl Into<On<'c>>) -> Result<u64, sqlx::Error> {
         if let Some(refused) = self.refused {
             return Err(refused);
@@ -217,7 +217,7 @@ impl Query {
 }
 
 impl<T: Record> QueryAs<T> {
-    /// Gives the next parameter.
+    /// Binds the next parameter.
     pub(super) fn bind<'q, V: Value<'q>>(self, value: V) -> Self {
         Self(self.0.bind(value), self.1)
     }
@@ -232,7 +232,7 @@ impl<T: Record> QueryAs<T> {
         run!(self.0, on, sqlx::query_as_with, fetch_optional)
     }
 
-    /// Every row.
+    /// All rows.
     pub(super) async fn fetch_all<'c>(self, on: impl Into<On<'c>>) -> Result<Vec<T>, sqlx::Error> {
         run!(self.0, on, sqlx::query_as_with, fetch_all)
     }
@@ -242,7 +242,7 @@ impl<T> QueryScalar<T>
 where
     (T,): Record,
 {
-    /// Gives the next parameter.
+    /// Binds the next parameter.
     pub(super) fn bind<'q, V: Value<'q>>(self, value: V) -> Self {
         Self(self.0.bind(value))
     }
@@ -257,7 +257,7 @@ where
         Ok(self.0.fetch_optional(on).await?.map(|(found,)| found))
     }
 
-    /// The column of every row.
+    /// The column of all rows.
     pub(super) async fn fetch_all<'c>(self, on: impl Into<On<'c>>) -> Result<Vec<T>, sqlx::Error> {
         Ok(self.0.fetch_all(on).await?.into_iter().map(|(found,)| found).collect())
     }

@@ -1,4 +1,4 @@
-//! Complete uploads under `incoming/`, which get a key when something was made of them.
+//! Complete uploads under `incoming/`, which get a key when they are published.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use object_store::path::Path as Key;
 use crate::store::pending_quota::Reservation;
 use crate::store::uploads::UploadLock;
 
-/// The folder of uploads on their way.
+/// The folder of staged uploads.
 pub(super) const INCOMING: &str = "incoming";
 
 /// A complete upload that has no key yet. It is deleted when dropped unless it was published.
@@ -21,21 +21,22 @@ pub struct StagedUpload {
     pub sha256: String,
     /// Number of bytes.
     pub bytes: u64,
-    /// The upload that these bytes are of, if they came in pieces.
+    /// The resumable upload with these bytes, if any.
     pub(super) upload: Option<UploadLock>,
-    /// They count as stored meanwhile.
+    /// The reservation of these bytes.
     pub(super) reserved: Reservation,
 }
 
 impl StagedUpload {
-    /// These bytes were made of `other`, whose upload is gone once these are published, and stays when they are dropped.
+    /// Takes over the resumable upload of `other`, from which these bytes were made. It is removed when these bytes are
+    /// published, and kept when they are dropped.
     #[must_use]
     pub fn replacing(mut self, mut other: Self) -> Self {
         self.upload = other.upload.take();
         self
     }
 
-    /// Whether it is an upload that stays when this is dropped.
+    /// Whether its bytes belong to a resumable upload, which is kept when this is dropped.
     pub fn is_from_upload(&self) -> bool {
         self.upload.is_some()
     }
@@ -46,7 +47,7 @@ impl Drop for StagedUpload {
         if !self.published
             && let Err(error) = std::fs::remove_file(&self.path)
         {
-            tracing::warn!(%error, key = %self.key, "an upload could not be discarded");
+            tracing::warn!(%error, key = %self.key, "cannot remove a discarded upload");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! How much is stored, and how much may be.
+//! Stored bytes and storage limits.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -10,24 +10,24 @@ use crate::store::{Store, StoreError};
 use relume_api::TenantId;
 use relume_api::usage::{StoredKind, Usage};
 
-/// How much may be stored.
+/// A storage limit and the stored bytes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Allowance {
-    /// What may be stored, bytes; `u64::MAX` where nothing but the disk is a limit.
+    /// The limit, bytes; `u64::MAX` if only the disk limits the storage.
     pub(super) limit: u64,
-    /// What is stored or on its way, as far as there is a limit.
+    /// Stored and pending bytes; computed only if there is a limit.
     pub(super) taken: u64,
-    /// Whether the limit is that of a tenant, or else of the server.
+    /// Whether the limit is that of a tenant; otherwise it is that of the server.
     pub(super) of_tenant: bool,
 }
 
 impl Allowance {
-    /// Bytes that may be stored beside what is.
+    /// Bytes that may still be stored.
     pub(super) fn left(&self) -> u64 {
         self.limit.saturating_sub(self.taken)
     }
 
-    /// Refuses `asked` more bytes when they are too many.
+    /// Refuses `asked` more bytes beyond the limit.
     pub(super) fn admit(&self, asked: u64) -> Result<(), StoreError> {
         let (limit, taken) = (self.limit, self.taken);
         match self.of_tenant {
@@ -39,13 +39,13 @@ impl Allowance {
 }
 
 impl Store {
-    /// Bounds what is stored from now on, bytes.
+    /// Sets the storage limit, bytes.
     pub fn limit_disk(&self, bytes: u64) {
         self.disk_limit.store(bytes, Ordering::SeqCst);
     }
 
-    /// Counts what is stored of a tenant; with `of_server` also what tells of others: bytes that belong to nothing, the limit of
-    /// all, what is free on the disk.
+    /// Counts the stored bytes of a tenant. With `of_server` the result also contains data about the whole server: unreferenced
+    /// bytes, the storage limit and the free disk space.
     ///
     /// # Errors
     /// When the database or the directory cannot be read.
@@ -62,11 +62,11 @@ impl Store {
         .map_err(std::io::Error::other)??;
         let mut files = files;
         if let (true, Some(remote)) = (of_server, self.artifacts.remote()) {
-            // A copy on this machine is no more than what it is a copy of.
+            // A local copy counts once, together with its object.
             files.extend(remote.list("").await?.into_iter().map(|object| (object.key, object.bytes)));
         }
         let all: u64 = files.values().sum();
-        // Several rows may name one file.
+        // Several rows may reference one file.
         let mut mine: Vec<&str> = named.iter().map(|reference| reference.artifact.as_str()).collect();
         mine.sort_unstable();
         mine.dedup();
@@ -109,15 +109,16 @@ impl Store {
         })
     }
 
-    /// Refuses `asked` more bytes beyond the limit, uploads in progress included; nothing more at all when it is reached.
+    /// Refuses `asked` more bytes beyond the limit, which includes pending uploads. If the limit is already reached, refuses any
+    /// further bytes.
     ///
     /// # Errors
-    /// [`StoreError::StorageLimitExceeded`] with the numbers.
+    /// [`StoreError::StorageLimitExceeded`], with the numbers.
     pub async fn admit_bytes(&self, asked: u64) -> Result<(), StoreError> {
         self.disk_allowance().await?.admit(asked.max(1))
     }
 
-    /// What may be stored and what is, uploads in progress included.
+    /// The storage limit of the server and its stored bytes, including pending uploads.
     pub(super) async fn disk_allowance(&self) -> Result<Allowance, StoreError> {
         let limit = self.disk_limit();
         let taken = match limit {
@@ -131,7 +132,7 @@ impl Store {
         self.disk_limit.load(Ordering::SeqCst)
     }
 
-    /// Bytes of what is stored, with what was deleted and is not removed yet.
+    /// Stored bytes, including deleted resources whose files are not removed yet.
     async fn stored_bytes(&self) -> Result<u64, StoreError> {
         let bytes: i64 = sql::query_scalar(
             "SELECT CAST(
@@ -159,7 +160,7 @@ impl Store {
         .await?;
         let mut found = StoredKind::default();
         for key in keys {
-            // One that is replaced meanwhile counts as nothing.
+            // A checkpoint that is replaced in the meantime is not counted.
             let Some(bytes) = self.artifacts.size(&key).await? else { continue };
             found.count += 1;
             found.bytes += bytes;
@@ -175,7 +176,7 @@ impl Store {
     }
 }
 
-/// The size of every file under a folder, by its path below it. What goes meanwhile is not there.
+/// The sizes of all files under a folder, by their relative paths. Files that are removed in the meantime are omitted.
 fn sizes(folder: &Path, prefix: &str, files: &mut HashMap<String, u64>) -> std::io::Result<()> {
     let entries = match std::fs::read_dir(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),

@@ -1,5 +1,5 @@
-//! Whether stored bytes are still those that were stored. A file is hashed once a process, and again when the file system says
-//! that it changed.
+//! Verification of stored bytes by their hashes. A file is hashed once per process, and again if the file system reports a
+//! change.
 
 use std::collections::HashMap;
 use std::fs::{File, Metadata};
@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crate::store::StoreError;
 use crate::store::hash::hash_file;
 
-/// What tells one content of a file from another without reading it: size, modification time in ns, and inode.
+/// Identifies the content of a file without reading it: size, modification time in ns, and inode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct FileFingerprint(u64, i64, i64, u64);
 
@@ -20,17 +20,18 @@ impl FileFingerprint {
     }
 }
 
-/// A file's hash and the stamp it had then. The lock is held while the file is hashed, so that many readers hash it once.
+/// The hash of a file and its fingerprint at that time. The lock is held while the file is hashed, so that concurrent readers
+/// hash it only once.
 type CachedHash = Arc<tokio::sync::Mutex<Option<(FileFingerprint, String)>>>;
 
-/// The hashes of files that were read by this process.
+/// The hashes of files that this process has read.
 #[derive(Clone, Default)]
 pub(super) struct Verification {
     files: Arc<Mutex<HashMap<String, CachedHash>>>,
 }
 
 impl Verification {
-    /// Compares the file of an artifact with the hash that it was stored under.
+    /// Compares the hash of an artifact's file with its stored hash.
     pub(super) async fn check(&self, key: &str, path: &Path, sha256: &str) -> Result<(), StoreError> {
         let known = self.lock().entry(key.to_owned()).or_default().clone();
         let mut known = known.lock().await;
@@ -50,7 +51,7 @@ impl Verification {
         }
     }
 
-    /// The hash of a file that was hashed as it was written.
+    /// Records the hash of a file that was hashed while it was written.
     pub(super) async fn learn(&self, key: &str, path: &Path, sha256: &str) -> Result<(), StoreError> {
         let known = self.lock().entry(key.to_owned()).or_default().clone();
         let mut known = known.lock().await;
@@ -59,7 +60,7 @@ impl Verification {
         Ok(())
     }
 
-    /// Forgets a file that was removed.
+    /// Removes the hash of a removed file.
     pub(super) fn forget(&self, key: &str) {
         self.lock().remove(key);
     }
@@ -76,7 +77,7 @@ fn absent(error: std::io::Error, key: &str) -> StoreError {
     }
 }
 
-/// The hash of a file, and its stamp from before it was read: a change meanwhile shows at the next check.
+/// The hash of a file, and its fingerprint before reading, so that a concurrent change is detected by the next check.
 fn hash(path: &Path) -> std::io::Result<(FileFingerprint, String)> {
     let mut file = File::open(path)?;
     let stamp = FileFingerprint::of(&file.metadata()?);
@@ -101,7 +102,7 @@ mod tests {
         let verification = Verification::default();
         verification.check("key", &path, &sha256).await.unwrap();
 
-        // Other bytes under the same stamp are not seen: the file was not read again.
+        // Other bytes with the same fingerprint are not detected, because the file is not read again.
         let time = std::fs::metadata(&path).unwrap().modified().unwrap();
         let overwrite = |bytes: &str, time: SystemTime| {
             std::fs::write(&path, bytes).unwrap();
@@ -109,7 +110,7 @@ mod tests {
         };
         overwrite("as it wOs", time);
         verification.check("key", &path, &sha256).await.unwrap();
-        // And under another they are, each time.
+        // With another fingerprint they are detected each time.
         overwrite("as it wOs", time + Duration::from_secs(1));
         for _ in 0..2 {
             let damaged = verification.check("key", &path, &sha256).await;

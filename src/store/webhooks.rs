@@ -1,4 +1,4 @@
-//! Webhooks of tenants. Secrets are kept as they are: they sign.
+//! Webhooks of tenants. Secrets are stored in plain text, because the server signs with them.
 
 use sqlx::FromRow;
 use sqlx::types::Json;
@@ -9,7 +9,7 @@ use crate::store::{Page, Store, StoreError};
 use relume_api::webhooks::{WebhookChange, WebhookEvent};
 use relume_api::{KeyId, TenantId, WebhookId};
 
-/// Most webhooks of a tenant.
+/// Maximum number of webhooks of a tenant.
 const MAX_WEBHOOKS: i64 = 16;
 
 /// A webhook.
@@ -17,39 +17,39 @@ const MAX_WEBHOOKS: i64 = 16;
 pub struct WebhookRecord {
     /// Identifier.
     pub id: WebhookId,
-    /// Whose it is.
+    /// The tenant.
     pub tenant: TenantId,
-    /// Where it is sent to.
+    /// The URL to which messages are sent.
     pub url: String,
-    /// What it is told of.
+    /// The subscribed events.
     #[sqlx(json)]
     pub events: Vec<WebhookEvent>,
-    /// A name for people.
+    /// Descriptive name.
     pub name: Option<String>,
-    /// What signs its deliveries.
+    /// The secret that signs its messages.
     pub secret: Vec<u8>,
-    /// What signed them before, and still does beside it until `former_until_ms`.
+    /// The former secret, which also signs until `former_until_ms`.
     pub former_secret: Option<Vec<u8>>,
-    /// Until when the former secret signs.
+    /// End of the validity of the former secret.
     pub former_until_ms: Option<i64>,
-    /// The key that made it.
+    /// The key of the creator.
     pub made_by: Option<KeyId>,
-    /// When it was made.
+    /// Time of creation.
     pub created_ms: i64,
-    /// Whether anything is sent.
+    /// Whether messages are sent.
     pub enabled: bool,
-    /// Since when nothing could be delivered, if the last attempt failed.
+    /// Time of the first failure since the last successful delivery, if the last attempt failed.
     pub failing_since_ms: Option<i64>,
-    /// When the server switched it off.
+    /// Time at which the server disabled the webhook.
     pub switched_off_ms: Option<i64>,
-    /// Why the server switched it off.
+    /// Reason why the server disabled the webhook.
     pub switched_off_because: Option<String>,
 }
 
 paginated!(WebhookRecord: created_ms);
 
 impl WebhookRecord {
-    /// What signs at a time: the secret, and the one before for as long as it does.
+    /// The secrets that sign at `now_ms`: the current one and, while it is valid, the former one.
     pub fn secrets(&self, now_ms: i64) -> impl Iterator<Item = &[u8]> {
         let former = self.former_until_ms.is_some_and(|until| now_ms < until);
         let former = self.former_secret.as_deref().filter(|_| former);
@@ -57,7 +57,7 @@ impl WebhookRecord {
     }
 }
 
-/// Without the secrets.
+/// Omits the secrets.
 impl std::fmt::Debug for WebhookRecord {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut shown = f.debug_struct("WebhookRecord");
@@ -70,10 +70,10 @@ impl std::fmt::Debug for WebhookRecord {
 }
 
 impl Store {
-    /// Makes a webhook.
+    /// Creates a webhook.
     ///
     /// # Errors
-    /// [`StoreError::TooManyWebhooks`] when the tenant has as many as it may; when the database fails.
+    /// [`StoreError::TooManyWebhooks`] if the tenant has reached its limit. When the database fails.
     pub async fn create_webhook(&self, webhook: &WebhookRecord) -> Result<WebhookRecord, StoreError> {
         let mut tx = self.write().await?;
         let made = sql::query_as(
@@ -126,7 +126,7 @@ impl Store {
         Ok(query.fetch_all(self.pool()).await?)
     }
 
-    /// Changes a webhook of a tenant. One that is switched on begins anew: what failed before does not count.
+    /// Changes a webhook of a tenant. Enabling a webhook clears its recorded failures.
     ///
     /// # Errors
     /// When the database fails.
@@ -157,7 +157,7 @@ impl Store {
         Ok(changed)
     }
 
-    /// Gives a webhook of a tenant a new secret. The one that it has signs beside it until `former_until_ms`.
+    /// Replaces the secret of a webhook of a tenant. The current secret also signs until `former_until_ms`.
     ///
     /// # Errors
     /// When the database fails.
@@ -179,7 +179,7 @@ impl Store {
         Ok(rotated)
     }
 
-    /// Deletes a webhook of a tenant with its deliveries; `false` when there is none.
+    /// Deletes a webhook of a tenant and its deliveries; `false` if it does not exist.
     ///
     /// # Errors
     /// When the database fails.

@@ -1,4 +1,4 @@
-//! Who takes jobs, and when each was seen last.
+//! The worker registry, with the last heartbeat of each worker.
 
 use sqlx::FromRow;
 use sqlx::types::Json;
@@ -12,31 +12,31 @@ use relume_api::{JobId, WorkerId};
 pub struct WorkerRecord {
     /// Identifier.
     pub id: WorkerId,
-    /// The data directory whose server it is a thread of; none of one with a process of its own.
+    /// The data directory of the server of a local worker; `None` for a remote worker.
     pub server: Option<String>,
-    /// A name for people.
+    /// Descriptive name.
     pub name: String,
-    /// What it computes on.
+    /// The device.
     pub device: String,
-    /// Whether that is a GPU.
+    /// Whether the device is a GPU.
     pub has_gpu: bool,
-    /// What jobs may ask for.
+    /// Its labels, which jobs can require.
     #[sqlx(json)]
     pub labels: Vec<String>,
-    /// Its version.
+    /// Version of its program.
     pub version: String,
-    /// Whether it is given no more jobs.
+    /// Whether it gets no more jobs.
     pub draining: bool,
-    /// When it was seen first.
+    /// Time of the first heartbeat.
     pub started_ms: i64,
-    /// When it was seen last.
+    /// Time of the last heartbeat.
     pub seen_ms: i64,
-    /// The job that it works on.
+    /// The job that it runs.
     pub job: Option<JobId>,
 }
 
 impl WorkerRecord {
-    /// As the API shows it; one that was not seen since `heartbeat_cutoff_ms` is lost.
+    /// The worker as the API shows it. It is lost if its last heartbeat is before `heartbeat_cutoff_ms`.
     pub fn view(self, heartbeat_cutoff_ms: i64) -> WorkerView {
         let state = match (self.seen_ms < heartbeat_cutoff_ms, self.draining, &self.job) {
             (true, _, _) => WorkerState::Lost,
@@ -70,7 +70,7 @@ macro_rules! workers {
 }
 
 impl Store {
-    /// Writes a worker down, or that it was seen again. Returns whether it is to end.
+    /// Registers a worker or records its heartbeat. Returns whether the worker is draining.
     ///
     /// # Errors
     /// When the database fails.
@@ -95,7 +95,7 @@ impl Store {
         Ok(draining)
     }
 
-    /// A worker that works on a job was seen.
+    /// Records a heartbeat of a worker that runs a job.
     ///
     /// # Errors
     /// When the database fails.
@@ -112,7 +112,7 @@ impl Store {
         Ok(tx.commit().await?)
     }
 
-    /// Counts every worker as seen: nobody could be while the server was away.
+    /// Sets the heartbeat of every worker to `now_ms`, because no heartbeats arrived while the server was stopped.
     ///
     /// # Errors
     /// When the database fails.
@@ -122,7 +122,7 @@ impl Store {
         Ok(tx.commit().await?)
     }
 
-    /// Forgets the workers that were threads of the server of a data directory, and all that were not seen since `seen_ms`.
+    /// Removes the local workers of the server of a data directory, and all workers without a heartbeat since `seen_ms`.
     ///
     /// # Errors
     /// When the database fails.
@@ -150,7 +150,7 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// Says whether a worker is given jobs; `false` when there is none.
+    /// Sets whether a worker gets no more jobs; `false` if the worker does not exist.
     ///
     /// # Errors
     /// When the database fails.
@@ -162,7 +162,7 @@ impl Store {
         Ok(done == 1)
     }
 
-    /// Whether a worker that was seen since `seen_ms` has a GPU.
+    /// Whether a worker with a heartbeat since `seen_ms` has a GPU.
     ///
     /// # Errors
     /// When the database fails.
@@ -172,7 +172,7 @@ impl Store {
         Ok(count > 0)
     }
 
-    /// When the job was queued that has waited longest, milliseconds since 1970 UTC.
+    /// The submission time of the job that has been queued longest, milliseconds since 1970 UTC.
     ///
     /// # Errors
     /// When the database fails.

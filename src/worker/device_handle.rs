@@ -1,4 +1,4 @@
-//! The handle by which the rest of the service reaches the threads of its worker.
+//! The handle with which the service sends work to the threads of its worker.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,18 +13,18 @@ use crate::worker::renders::{LightTask, RenderFailure, RenderTask};
 use relume_api::JobId;
 use relume_train::render::Frame;
 
-/// How long a render may wait for its turn and run: long enough for the first preparation of a light.
+/// Timeout of a render, including its time in the queue: sufficient for the first preparation of a light.
 const RENDER_TIMEOUT: Duration = Duration::from_secs(120);
 
-/// Asks for frames. Cheap to clone.
+/// Sends render tasks to the device. Cheap to clone.
 #[derive(Clone)]
 pub struct DeviceHandle {
     requests: RenderQueue,
-    /// Training steps done.
+    /// Completed training steps.
     steps: Arc<AtomicU64>,
     has_gpu: bool,
     previews: Arc<Previews>,
-    /// Ends the threads when the last handle is dropped.
+    /// Stops the threads when the last handle is dropped.
     _last: Arc<DropGuard>,
 }
 
@@ -39,21 +39,21 @@ impl DeviceHandle {
         Self { requests, steps, has_gpu, previews, _last: Arc::new(last) }
     }
 
-    /// How the training of a job looked when it was last looked at, if it runs. It is looked at every few seconds for a minute
-    /// after somebody asked, so that the first answer is nothing.
+    /// The last preview of a job's training, if it runs. A request enables previews every few seconds for a minute, so the first
+    /// request returns `None`.
     pub fn preview(&self, job: &JobId) -> Option<Preview> {
         self.previews.latest(job)
     }
 
-    /// Renders. When the result is not waited for any more, nothing is rendered, or no more of it.
+    /// Renders a frame. If the caller drops the future, rendering does not start, or stops early.
     ///
     /// # Errors
-    /// [`RenderFailure::Busy`] when too many wait already, otherwise what the renderer said.
+    /// [`RenderFailure::Busy`] if the queue is full; otherwise the error of the renderer.
     pub async fn render(&self, task: RenderTask) -> Result<TimedAnswer<Frame>, RenderFailure> {
         self.ask(task, RenderPriority::Interactive, Request::Frame).await
     }
 
-    /// Renders while nobody else waits for a frame.
+    /// Renders a frame with the lowest priority, when no other frame is queued.
     ///
     /// # Errors
     /// As [`Self::render`].
@@ -61,7 +61,7 @@ impl DeviceHandle {
         self.ask(task, RenderPriority::Background, Request::Frame).await
     }
 
-    /// The stream of a light, made between frames. When it is not waited for any more, nothing is prepared.
+    /// Makes the stream of a light, between frames. If the caller drops the future, the light is not prepared.
     ///
     /// # Errors
     /// As [`Self::render`].
@@ -83,12 +83,12 @@ impl DeviceHandle {
         }
     }
 
-    /// True when the server was started on a GPU.
+    /// Whether the server was started on a GPU.
     pub fn has_gpu(&self) -> bool {
         self.has_gpu
     }
 
-    /// True while the thread that renders lives.
+    /// Whether the rendering thread runs.
     pub fn is_alive(&self) -> bool {
         !self.requests.is_closed()
     }

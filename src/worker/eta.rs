@@ -1,23 +1,24 @@
-//! When a training will end: the time of recent steps, carried on by what the steps that are left cost beside them.
+//! Estimates the end of a training from the time of recent steps and the relative cost of the remaining steps.
 //!
-//! The first steps are the cheapest ones, at half resolution, without shading and with few Gaussians: their mean pace says
-//! little about the rest.
+//! The mean time per step is a poor estimate, because the first steps are cheaper: they have half resolution, no shading and few
+//! Gaussians.
 
 use relume_spec::training::{LabelSource, TrainConfig};
 
-/// What a pixel costs beside a Gaussian. This and the three below were measured on the CPU engine; only ratios count.
+/// Cost of a pixel relative to a Gaussian. This constant and the next three were measured on the CPU engine; only their ratios
+/// matter.
 const PIXEL: f64 = 0.45;
-/// What a step of both branches costs beside one of the radiance branch.
+/// Cost of a step of both branches relative to a step of the radiance branch.
 const SHADED: f64 = 2.25;
-/// What measuring one Gaussian along one direction costs.
+/// Cost of one probe of a Gaussian in one direction.
 const PROBE: f64 = 0.4;
-/// What looking for strong small lights costs beside one such measurement.
+/// Cost of a search for dominant lights relative to one measurement of the visibility.
 const LIGHTS: f64 = 5.0;
-/// Most steps between rounds of density control, and fewest before the first.
+/// Maximum steps between rounds of density control, and minimum steps before the first round.
 const ROUND_EVERY: u32 = 100;
 const FIRST_ROUND: u32 = 50;
 
-/// What each step of a training costs, in no unit.
+/// The relative cost of each step of a training.
 struct Costs {
     config: TrainConfig,
     /// Pixels of a photograph.
@@ -37,7 +38,7 @@ impl Costs {
         branches * (PIXEL * pixels + gaussians) + measured * self.measurements(step)
     }
 
-    /// Gaussians that density control may have by then.
+    /// Estimated number of Gaussians at a step: growth by density control up to its limit.
     fn gaussians(&self, step: u32) -> f64 {
         let config = &self.config;
         let (first, last) = self.rounds();
@@ -53,7 +54,7 @@ impl Costs {
         ((total / 50).max(FIRST_ROUND), (self.config.densify_until * total as f32) as u32)
     }
 
-    /// How often visibility is measured in a step, or as much is done as that takes.
+    /// Number of visibility measurements, or work of equal cost, in a step.
     fn measurements(&self, step: u32) -> f64 {
         let config = &self.config;
         let measures = config.bounces > 0 || matches!(config.labels, LabelSource::Probes | LabelSource::Both);
@@ -76,22 +77,22 @@ impl Costs {
     }
 }
 
-/// The estimate, as steps are done.
+/// The estimate, updated after each step.
 pub(super) struct Eta {
     costs: Costs,
     step: u32,
-    /// Cost of the steps that are left.
+    /// Cost of the remaining steps.
     left: f64,
     seen_ms: i64,
-    /// Time and cost of recent steps; older ones count less and less.
+    /// Time and cost of recent steps, exponentially weighted.
     recent_ms: f64,
     recent_cost: f64,
-    /// Share of what was recent that still is after one more step.
+    /// Factor by which the weight of past steps decreases per step.
     memory: f64,
 }
 
 impl Eta {
-    /// A training of `config` on photographs of `pixels`, `step` steps of which earlier attempts did.
+    /// An estimate for a training of `config` on photographs of `pixels`, of which earlier attempts did `step` steps.
     pub(super) fn new(config: &TrainConfig, pixels: f64, step: u32, now_ms: i64) -> Self {
         let costs = Costs { config: config.clone(), pixels };
         let steps = f64::from((config.iterations / 20).clamp(40, 200));
@@ -106,9 +107,9 @@ impl Eta {
         }
     }
 
-    /// Notes that `step` steps are done.
+    /// Records that `step` steps are complete.
     pub(super) fn note(&mut self, step: u32, now_ms: i64) {
-        // After a roll-back there are more steps left than before.
+        // A rollback increases the number of remaining steps.
         let cost = if step > self.step {
             let done: f64 = (self.step..step).map(|step| self.costs.of(step)).sum();
             self.left -= done;
@@ -135,8 +136,8 @@ mod tests {
     use super::*;
     use relume_spec::training::{Preset, TrainOverrides};
 
-    /// Milliseconds of every step of a training on a machine that is none of ours: pixels cost less beside Gaussians, shading
-    /// and measuring more, each step a little more or less than that, and the machine is busy for a while.
+    /// Milliseconds of every step of a training on a simulated machine with other cost ratios: pixels are cheaper relative to
+    /// Gaussians, shading and measurement are more expensive, each step varies slightly, and the machine is busy for a while.
     fn history(config: &TrainConfig, pixels: f64) -> Vec<f64> {
         let warm_up = config.warm_up_steps();
         let step = |i: u32| {
@@ -144,7 +145,7 @@ mod tests {
             let pixels = if share < f64::from(config.half_resolution) { pixels / 4.0 } else { pixels };
             let grown = (share / f64::from(config.densify_until)).min(1.0);
             let (low, high) = (f64::from(config.initial_gaussians), f64::from(config.max_gaussians));
-            // Density control does not reach its budget.
+            // Density control does not reach its limit.
             let gaussians = low + 0.9 * (high - low) * grown.sqrt();
             let shading = if i < warm_up { 1.0 } else { 2.5 };
             let is_round = i >= warm_up && i.is_multiple_of((config.iterations / 15).min(100));
@@ -157,7 +158,7 @@ mod tests {
         (0..config.iterations).map(step).collect()
     }
 
-    /// The estimate after `done` steps and that of the mean pace, each over the truth.
+    /// The estimate after `done` steps and the estimate from the mean time per step, each divided by the true value.
     fn over_the_truth(config: &TrainConfig, pixels: f64, done: u32) -> (f64, f64) {
         let history = history(config, pixels);
         let (mut now, mut eta) = (1e6, Eta::new(config, pixels, 0, 1_000_000));
@@ -184,7 +185,10 @@ mod tests {
                 assert!((0.5..2.0).contains(&ours), "{:?} at {percent} %: {ours}", config.preset);
             }
             let (ours, naive) = over_the_truth(&config, pixels, config.iterations / 20);
-            assert!(naive < 0.4, "the control: the mean pace says {naive} of the truth, not {ours}");
+            assert!(
+                naive < 0.4,
+                "the control: the mean time per step gives {naive} of the true value, not {ours}"
+            );
         }
     }
 
@@ -192,7 +196,7 @@ mod tests {
     fn eta_accounts_for_rollbacks_and_resumed_steps() {
         let config = TrainConfig::preset(Preset::Draft);
         let mut eta = Eta::new(&config, 1e4, 1000, 0);
-        assert_eq!(eta.seconds(), None, "nothing was seen yet");
+        assert_eq!(eta.seconds(), None, "no step was recorded yet");
         for step in 1001..=1100 {
             eta.note(step, i64::from(step - 1000) * 10);
         }
@@ -204,6 +208,6 @@ mod tests {
         for step in 1051..=1500 {
             eta.note(step, 1010 + i64::from(step - 1050) * 10);
         }
-        assert!(eta.seconds().unwrap() < 1e-6, "none is");
+        assert!(eta.seconds().unwrap() < 1e-6, "no steps are left");
     }
 }

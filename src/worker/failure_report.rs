@@ -1,15 +1,15 @@
-//! What a worker writes down about an attempt that failed, and that it does write it down.
+//! Records the failure of an attempt and its consequence for the job.
 
 use crate::worker::job_source::{Claim, JobSourceError};
 use crate::worker::thread::{JobOutcome, Worker};
 use crate::worker::training::outcome::{AttemptError, stop_attempt};
 use relume_api::work::{LeaseStatus, Release, Task};
 
-/// What becomes of a job after an attempt.
+/// The consequence of a failed attempt.
 enum FailureReport {
-    /// It goes back to the queue.
+    /// The job is returned to the queue.
     Release(Release),
-    /// It has failed.
+    /// The job has failed.
     Fail {
         /// Stable code.
         code: &'static str,
@@ -19,7 +19,7 @@ enum FailureReport {
 }
 
 impl FailureReport {
-    /// The report on an attempt that failed.
+    /// The report for an attempt that failed.
     fn on(task: &Task, failure: AttemptError) -> Self {
         if failure.is_shortage() {
             Self::Release(Release::NoRoom)
@@ -32,7 +32,7 @@ impl FailureReport {
         }
     }
 
-    /// The report on an attempt that panicked.
+    /// The report for an attempt that panicked.
     fn on_panic(task: &Task) -> Self {
         if task.is_last_attempt {
             let detail = "every attempt ended in an internal error".to_owned();
@@ -55,33 +55,33 @@ impl FailureReport {
 }
 
 impl Worker {
-    /// Writes down what becomes of a job whose attempt failed.
+    /// Records the failure of an attempt.
     pub(super) async fn record_failure(&mut self, claim: &dyn Claim, failure: AttemptError) -> JobOutcome {
         let is_outage = failure.is_outage();
         let ended = self.record(claim, &FailureReport::on(claim.task(), failure)).await;
         if is_outage {
-            // Not at once: what was away for this job is so for the next one.
+            // The next claim waits, because the outage also affects the next job.
             self.changes.mark_unchanged();
             self.wait().await;
         }
         ended
     }
 
-    /// Writes down what becomes of a job whose attempt panicked.
+    /// Records the panic of an attempt.
     pub(super) async fn record_panic(&mut self, claim: &dyn Claim) -> JobOutcome {
         self.record(claim, &FailureReport::on_panic(claim.task())).await
     }
 
-    /// Writes a report, however long that fails: a job that nobody works on must not stay `running`.
+    /// Records a report and retries until it succeeds, because a job without a worker must not stay `running`.
     async fn record(&mut self, claim: &dyn Claim, report: &FailureReport) -> JobOutcome {
         let (mut told, job) = (false, &claim.task().job);
         while let Err(error) = report.write(claim).await {
             if self.stop.is_cancelled() {
-                tracing::error!(%error, %job, "how a job ended is not recorded; the next start takes it back");
+                tracing::error!(%error, %job, "the end of a job is not recorded; the next start of the server reclaims the job");
                 return JobOutcome::Requeued;
             }
             if !told {
-                tracing::error!(%error, %job, "how a job ended cannot be recorded yet");
+                tracing::error!(%error, %job, "the end of a job cannot be recorded yet; retrying");
                 told = true;
             }
             self.wait().await;

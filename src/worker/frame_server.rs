@@ -1,4 +1,4 @@
-//! Rendering what waits in the queue, on one device, on the thread of frames.
+//! Renders the queued frames on one device, on a rendering thread.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -11,16 +11,16 @@ use crate::worker::render_queue::RenderReceiver;
 use crate::worker::renders::{LightTask, RenderCache, RenderFailure, RenderTask};
 use relume_train::render::Frame;
 
-/// Most frames that come at once; and between two bands of a dear one.
+/// Maximum number of frames served at a time, and between two bands of an expensive frame.
 const BATCH: usize = 8;
 
-/// A device with the frames that wait for it, and the models and lights they use.
+/// A device with its queue of frames, and the cached models and lights.
 pub(super) struct FrameServer {
     device: OpenedDevice,
     waiting: RenderReceiver,
-    /// Shared with other threads of frames on the device.
+    /// The cache is shared with the other rendering threads of the device.
     cache: Arc<RenderCache>,
-    /// Training steps done.
+    /// Completed training steps.
     steps: Arc<AtomicU64>,
 }
 
@@ -39,13 +39,13 @@ impl FrameServer {
         self.device.device().is_gpu()
     }
 
-    /// Another one for the same queue, device and cache.
+    /// Another server for the same queue, device and cache.
     pub(super) fn shared(&self) -> Self {
         let (waiting, cache, steps) = (self.waiting.clone(), self.cache.clone(), self.steps.clone());
         Self { device: self.device.shared(), waiting, cache, steps }
     }
 
-    /// Ends when a frame waits, or the device has failed elsewhere.
+    /// Waits until a frame is queued or another thread has replaced the device.
     pub(super) async fn arrival(&mut self) {
         tokio::select! {
             () = self.waiting.arrival() => {}
@@ -53,8 +53,8 @@ impl FrameServer {
         }
     }
 
-    /// Serves what waits already, a few frames at a time. Nothing is kept on a device that has failed elsewhere: it may be lost, or
-    /// its memory be needed.
+    /// Serves the queued frames, a few at a time. Clears the cache if another thread has replaced the device, because the old
+    /// device may be lost or its memory may be needed.
     pub(super) fn serve_waiting(&mut self) {
         if self.device.renew() {
             self.cache.clear();
@@ -67,8 +67,7 @@ impl FrameServer {
         }
     }
 
-    /// Opens the device again after it failed; nothing on a failed device can be used. If it cannot be opened, the CPU
-    /// engine replaces it.
+    /// Opens the device again after a failure, because a failed device cannot be used. If this fails, the CPU engine replaces it.
     fn reopen(&mut self) {
         self.cache.clear();
         self.device.reopen();
@@ -90,7 +89,7 @@ impl FrameServer {
         }
     }
 
-    /// Serves so that neither a panic nor a failed device is left behind.
+    /// Serves a request, handles a panic, and reopens a failed device.
     fn guarded<T>(
         &mut self,
         serve: impl FnOnce(&mut Self) -> Result<T, RenderFailure>,
@@ -111,7 +110,7 @@ impl FrameServer {
         Ok(lit.stream(task.with_map))
     }
 
-    /// Renders a task, and between the bands of a dear one those that wait and have a single band.
+    /// Renders a task. Between the bands of an expensive frame it renders queued frames of a single band.
     fn render(&mut self, task: &RenderTask, is_wanted: &dyn Fn() -> bool) -> Result<Frame, RenderFailure> {
         let scene = self.cache.scene(task, self.device.device(), is_wanted)?;
         scene.render(task, || {

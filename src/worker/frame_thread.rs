@@ -1,5 +1,5 @@
-//! Frames beside a training: on threads and pools of their own, so that device and operating system share what there is between
-//! the two, and no frame waits for anything that a training does on the host.
+//! Rendering threads beside the training thread. They have separate thread pools, so that the device and the operating system
+//! share the hardware between rendering and training, and no frame waits for the host work of a training.
 
 use std::io;
 use std::thread::JoinHandle;
@@ -8,10 +8,11 @@ use tokio_util::sync::CancellationToken;
 
 use crate::worker::frame_server::FrameServer;
 
-/// Threads of a GPU: one records a frame while the other waits for its own. A frame of the CPU engine takes all processors.
+/// Number of rendering threads for a GPU: one records a frame while the other waits for the device. A frame of the CPU engine
+/// uses all processors.
 const ON_A_GPU: usize = 2;
 
-/// Starts the threads. They end after `ended` is cancelled, with the frames that they are at.
+/// Starts the threads. After `ended` is cancelled they finish their current frames and exit.
 ///
 /// Must be called inside a tokio runtime.
 ///
@@ -23,8 +24,8 @@ pub(super) fn start(frames: FrameServer, ended: CancellationToken) -> io::Result
     shared.into_iter().chain([frames]).map(|frames| serve(frames, ended.clone())).collect()
 }
 
-/// Starts one thread. Its pool is its own: a thread of a shared one, waiting for its part of a frame, would take up another frame and
-/// wait for what it holds itself.
+/// Starts one thread with its own pool. A thread of a shared pool that waits for a part of a frame could steal the work of
+/// another frame and wait for a lock that it holds itself.
 fn serve(mut frames: FrameServer, ended: CancellationToken) -> io::Result<JoinHandle<()>> {
     let pool = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("frames-{i}"));
     let pool = pool.build().map_err(io::Error::other)?;

@@ -1,4 +1,4 @@
-//! Where a worker's jobs come from and what it makes of them goes: the queue of this process, or that of a server elsewhere.
+//! The source of a worker's jobs and the destination of their results: the queue of this process, or a server over the API.
 
 use std::path::PathBuf;
 
@@ -11,70 +11,71 @@ use relume_api::quality::Figures;
 use relume_api::work::{LeaseStatus, Release, Task};
 use relume_api::{EnvironmentId, WorkerId};
 
-/// Why a source did not do what a worker asked for.
+/// Why a request to a job source failed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum JobSourceError {
-    /// There is no room for what is to be stored.
+    /// There is not enough space to store the data.
     #[error("the disk is full")]
     Full,
-    /// What keeps the jobs or the files cannot be reached for now.
+    /// The database, the object store or the server cannot be reached at present.
     #[error("{0}")]
     Unreachable(String),
-    /// What the job names is not there any more.
-    #[error("it is gone")]
+    /// A resource of the job no longer exists.
+    #[error("a resource of the job no longer exists")]
     Gone,
     /// A stored file is damaged or missing.
     #[error("a stored file that the job needs is damaged or missing; upload it again")]
     Damaged,
-    /// The worker may not have jobs: asking again is of no use.
+    /// The worker is not permitted to run jobs; a retry cannot help.
     #[error("{0}")]
     Refused(String),
-    /// Something else, for the log.
+    /// Any other failure; the message is for the log.
     #[error("{0}")]
     Failed(String),
 }
 
-/// What was claimed, if anything.
+/// The result of a claim.
 pub enum ClaimOutcome {
     /// A job.
     Job(Box<dyn Claim>),
-    /// No job waits that the worker may have.
+    /// No job that the worker can run is queued.
     Nothing,
-    /// The worker is to end.
+    /// The worker is drained and must exit.
     Draining,
 }
 
-/// Gives out jobs.
+/// Provides jobs to a worker.
 #[async_trait(?Send)]
 pub trait JobSource: Send + Sync {
-    /// Claims the next job for the worker. Once begun it must be waited for: a job that nobody takes is nobody's.
+    /// Claims the next job for the worker. The future must be polled to its end, because a claimed job without a worker is lost
+    /// until its lease ends.
     ///
     /// # Errors
     /// See [`JobSourceError`].
     async fn claim(&self) -> Result<ClaimOutcome, JobSourceError>;
 
-    /// As whom it claims them, if anybody.
+    /// The identity of the worker, if it is registered.
     fn worker(&self) -> Option<&WorkerId> {
         None
     }
 
-    /// Wakes when a job may wait, or what is worked on may have been asked to stop.
+    /// Notifies when a job may be queued, or the current job may have been asked to stop.
     fn changes(&self) -> watch::Receiver<()>;
 
     /// The current time, milliseconds since 1970 UTC.
     fn now_ms(&self) -> i64;
 }
 
-/// One attempt at one job. Nothing that a worker writes counts once its lease is lost.
+/// One attempt at one job. After its lease is lost, its writes have no effect.
 #[async_trait(?Send)]
 pub trait Claim {
     /// The job.
     fn task(&self) -> &Task;
 
-    /// The archive of the capture on this machine, with the bytes that were uploaded.
+    /// The local path of the capture's archive, verified by its hash.
     async fn capture(&self) -> Result<PathBuf, JobSourceError>;
 
-    /// The file of an uploaded environment map on this machine, and its hash.
+    /// The local path of an uploaded environment map, and its hash.
     async fn environment(&self, id: &EnvironmentId) -> Result<(PathBuf, String), JobSourceError>;
 
     /// The bytes of the last checkpoint.
@@ -89,10 +90,10 @@ pub trait Claim {
     /// Records a warning for the user.
     async fn warn(&self, message: &str) -> Result<LeaseStatus, JobSourceError>;
 
-    /// Stores a checkpoint; after an error the one before still counts.
+    /// Stores a checkpoint. After an error the previous checkpoint is kept.
     async fn checkpoint(&self, step: i64, bytes: Vec<u8>) -> Result<LeaseStatus, JobSourceError>;
 
-    /// Publishes the model and ends the job. Anything but [`LeaseStatus::Held`] published nothing.
+    /// Publishes the model and ends the job. With any other result than [`LeaseStatus::Held`] nothing was published.
     async fn publish(&self, model: TrainedModel) -> Result<LeaseStatus, JobSourceError>;
 
     /// Ends the job as failed.
@@ -101,18 +102,18 @@ pub trait Claim {
     /// Ends the job as cancelled.
     async fn confirm_cancel(&self) -> Result<LeaseStatus, JobSourceError>;
 
-    /// Gives the job back to the queue.
+    /// Returns the job to the queue.
     async fn release(&self, release: Release) -> Result<LeaseStatus, JobSourceError>;
 }
 
-/// What a training made.
+/// The result of a training.
 #[derive(Debug, Clone)]
 pub struct TrainedModel {
     /// Number of Gaussians.
     pub gaussians: i64,
-    /// The model card, with the time it took.
+    /// The model card, with the training time.
     pub card: serde_json::Value,
-    /// What was measured on held-out views.
+    /// The accuracy on held-out views.
     pub figures: Figures,
     /// Names and bytes of the files.
     pub files: Vec<(&'static str, Vec<u8>)>,

@@ -1,4 +1,4 @@
-//! Jobs of the store that this process works on itself.
+//! The job source of local workers: the queue in the store of this process.
 
 use std::path::PathBuf;
 
@@ -13,19 +13,19 @@ use relume_api::jobs::JobProgress;
 use relume_api::work::{FinishedModel, LeaseStatus, Release, Task};
 use relume_api::{EnvironmentId, WorkerId};
 
-/// The queue of this process for one worker.
+/// The queue of this process, for one worker.
 pub struct LocalJobs {
     jobs: Jobs,
     claimant: Claimant,
 }
 
 impl LocalJobs {
-    /// The queue for a worker.
+    /// A source for a worker.
     pub fn new(jobs: Jobs, claimant: Claimant) -> Self {
         Self { jobs, claimant }
     }
 
-    /// True while there is less room than the last write that did not fit would need. Nothing is claimed then.
+    /// Whether there is less disk space than the last failed write needs. Then no job is claimed.
     async fn lacks_disk_space(&self) -> bool {
         let store = self.jobs.store();
         if !store.disk_space().is_short() {
@@ -36,11 +36,11 @@ impl LocalJobs {
         }
         match store.check_disk_space().await {
             Ok(()) => {
-                tracing::info!("there is room on the disk again");
+                tracing::info!("disk space is available again");
                 false
             }
             Err(error) => {
-                tracing::debug!(%error, "jobs wait for room");
+                tracing::debug!(%error, "queued jobs wait for disk space");
                 true
             }
         }
@@ -89,7 +89,7 @@ impl LocalClaim {
         Self { task: lease.task(), lease }
     }
 
-    /// Does what ends an attempt. On a full disk the reserve is given up for it.
+    /// Performs a write that ends an attempt. On a full disk it releases the reserve first.
     async fn with_disk_reserve(
         &self,
         end: impl AsyncFn() -> Result<LeaseStatus, StoreError>,
@@ -179,10 +179,10 @@ impl From<StoreError> for JobSourceError {
                 Self::Unreachable("the database cannot be reached".to_owned())
             }
             StoreError::ArtifactsUnreachable(_) => {
-                Self::Unreachable("the object store of artifacts cannot be reached".to_owned())
+                Self::Unreachable("the object store cannot be reached".to_owned())
             }
             StoreError::Damaged(_) | StoreError::Missing(_) => {
-                tracing::error!(%error, "the store failed under a job");
+                tracing::error!(%error, "a stored file of a running job is damaged or missing");
                 Self::Damaged
             }
             error => Self::Failed(error.to_string()),

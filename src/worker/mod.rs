@@ -1,7 +1,7 @@
-//! A worker: one OS thread that trains what a source of jobs gives it, and one that renders frames beside it.
+//! A worker: one thread that trains the jobs of a source, and rendering threads beside it.
 //!
-//! The thread that trains drives one future with `block_on`, so that a training step may take as long as it needs without
-//! stalling the server. Both threads share a device.
+//! The training thread drives one future with `block_on`, so that a long training step does not block the server. All threads
+//! share a device.
 
 mod device_handle;
 mod eta;

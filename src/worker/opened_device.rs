@@ -1,4 +1,4 @@
-//! A device and what it was chosen by, so that it can be opened anew after a failure.
+//! An opened device with the choice by which it was selected, so that it can be opened again after a failure.
 
 use std::sync::Arc;
 
@@ -6,21 +6,21 @@ use tokio::sync::watch;
 
 use relume_engine::{Device, DeviceChoice, DeviceError};
 
-/// A device that is ready. Several threads may share one.
+/// A ready device. Several threads may share it.
 pub struct OpenedDevice {
     choice: DeviceChoice,
-    /// What this thread works on.
+    /// The device that this thread uses.
     device: Device,
-    /// What the threads that share it have opened last; said again each time that one of them failed.
+    /// The device that one of the sharing threads opened last. It is sent after each failure of one of them.
     latest: Arc<watch::Sender<Device>>,
     updates: watch::Receiver<Device>,
 }
 
 impl OpenedDevice {
-    /// Opens what was chosen.
+    /// Opens the chosen device.
     ///
     /// # Errors
-    /// When it cannot be had.
+    /// If the device is not available.
     pub fn open(choice: DeviceChoice) -> Result<Self, DeviceError> {
         let device = Device::open(choice)?;
         tracing::info!(device = device.name(), "device ready");
@@ -49,15 +49,15 @@ impl OpenedDevice {
         &self.device
     }
 
-    /// Opens it again, unless it is sound or a thread that shares it has opened it again. The CPU engine takes over where that
-    /// fails. Other threads hear of it in any case: what they keep on a device without memory is in the way.
+    /// Opens the device again, unless it works or another thread has already reopened it. If this fails, the CPU engine replaces
+    /// it. The other threads are notified in all cases, so that they release memory on the device.
     pub(super) fn reopen(&mut self) {
         self.latest.send_modify(|latest| {
             if latest.is_sound() {
                 return;
             }
             *latest = Device::open(self.choice).unwrap_or_else(|error| {
-                tracing::error!(%error, "the device cannot be opened again; the CPU engine takes over");
+                tracing::error!(%error, "the device cannot be opened again; the CPU engine replaces it");
                 Device::Cpu
             });
             tracing::warn!(device = latest.name(), "device opened again");
@@ -65,14 +65,15 @@ impl OpenedDevice {
         self.device = self.updates.borrow_and_update().clone();
     }
 
-    /// Goes over to the device that another thread has opened. True after a failure there: nothing should be kept on it then.
+    /// Switches to the device that another thread has opened. Returns true after a failure there; the caller must then clear its
+    /// data on the device.
     pub(super) fn renew(&mut self) -> bool {
         let has_failed = self.updates.has_changed().unwrap_or(false);
         self.device = self.updates.borrow_and_update().clone();
         has_failed
     }
 
-    /// Ends when [`Self::renew`] would be true.
+    /// Waits until [`Self::renew`] would return true.
     pub(super) async fn device_replaced(&self) {
         let mut updates = self.updates.clone();
         if updates.changed().await.is_err() {
@@ -93,13 +94,16 @@ mod tests {
         assert!(!shared.renew(), "the control: nothing has failed");
         one.reopen();
         assert!(shared.renew() && !shared.renew());
-        assert!(!one.renew() && !other.renew(), "not by itself, and not by who shares nothing");
+        assert!(
+            !one.renew() && !other.renew(),
+            "a thread is not notified of its own failure, nor of that of an unrelated device"
+        );
     }
 
     #[test]
     #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
     fn a_lost_device_is_reopened_once_for_all_threads() {
-        // A device of its own: the test destroys it.
+        // A separate device, because the test destroys it.
         let Device::Gpu(shared) = relume_reference::gpu_device() else { panic!("the device is a GPU") };
         let gpu =
             Gpu::open(&Adapters::find(), shared.report().index as usize, GpuOptions::default()).unwrap();

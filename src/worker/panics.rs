@@ -1,4 +1,4 @@
-//! What a panic said.
+//! The message of a panic.
 
 /// The message of a panic.
 pub(super) fn panic_message(panic: &(dyn std::any::Any + Send)) -> String {

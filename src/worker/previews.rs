@@ -1,4 +1,4 @@
-//! How a running training looks: its model as it stands, taken while somebody watches. A training that nobody watches pays nothing.
+//! Previews of a running training: its current model, published only while a client requests previews.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -6,47 +6,47 @@ use std::time::{Duration, Instant};
 use relume_api::JobId;
 use relume_scene::Model;
 
-/// How long somebody who asked counts as watching.
+/// Time after a request for which previews are published.
 const WATCH_TIMEOUT: Duration = Duration::from_secs(60);
-/// Least time between two looks at a training.
+/// Minimum time between two previews of a training.
 const INTERVAL: Duration = Duration::from_secs(2);
 
-/// A training at one moment.
+/// The state of a training at one step.
 #[derive(Clone)]
 pub struct Preview {
-    /// Steps done.
+    /// Completed steps.
     pub step: u32,
-    /// The model after these.
+    /// The model after these steps.
     pub model: Arc<Model>,
-    /// Whether its materials are being trained; before that it has colour alone.
+    /// Whether its materials are being trained. Before, the model has only colours.
     pub is_relightable: bool,
 }
 
-/// What is kept of the training that runs.
+/// The preview of the running training.
 #[derive(Default)]
 struct PreviewState {
-    /// The job that trains.
+    /// The running job.
     job: Option<JobId>,
     latest: Option<Preview>,
-    /// When it was taken.
+    /// Time of the latest preview.
     taken: Option<Instant>,
-    /// Which job somebody asked for last, and when.
+    /// The job of the last request, and its time.
     asked: Option<(JobId, Instant)>,
 }
 
-/// The looks of the training that runs, between the thread that trains and those who ask.
+/// The previews of the running training, shared by the training thread and the clients.
 #[derive(Default)]
 pub(super) struct Previews(Mutex<PreviewState>);
 
 impl Previews {
-    /// From now on `job` trains, until what this returns is dropped.
+    /// Sets `job` as the running training until the returned value is dropped.
     pub(super) fn of(self: &Arc<Self>, job: &JobId) -> PreviewPublisher {
         let mut kept = self.lock();
         (kept.job, kept.latest, kept.taken) = (Some(job.clone()), None, None);
         PreviewPublisher(self.clone())
     }
 
-    /// How `job` looked last, if it trains. Whoever asks is watching.
+    /// The latest preview of `job`, if it runs. Each call counts as a request.
     pub(super) fn latest(&self, job: &JobId) -> Option<Preview> {
         let mut kept = self.lock();
         kept.asked = Some((job.clone(), Instant::now()));
@@ -58,11 +58,11 @@ impl Previews {
     }
 }
 
-/// The training that is shown.
+/// Publishes the previews of a training.
 pub(super) struct PreviewPublisher(Arc<Previews>);
 
 impl PreviewPublisher {
-    /// Whether somebody watches and has not seen the training for a while.
+    /// Whether a preview was requested and the last one is old enough.
     pub(super) fn is_due(&self) -> bool {
         let kept = self.0.lock();
         let is_watched = kept
@@ -72,7 +72,7 @@ impl PreviewPublisher {
         is_watched && kept.taken.is_none_or(|at| at.elapsed() >= INTERVAL)
     }
 
-    /// Shows this from now on.
+    /// Publishes a preview.
     pub(super) fn show(&self, preview: Preview) {
         let mut kept = self.0.lock();
         (kept.latest, kept.taken) = (Some(preview), Some(Instant::now()));
@@ -114,13 +114,13 @@ mod tests {
         let (job, other) = (JobId::from("job"), JobId::from("other"));
         let shown = previews.of(&job);
         assert!(!shown.is_due(), "nobody asked");
-        assert!(previews.latest(&other).is_none() && !shown.is_due(), "somebody asked for another");
+        assert!(previews.latest(&other).is_none() && !shown.is_due(), "only another job was requested");
         assert!(previews.latest(&job).is_none() && shown.is_due());
         shown.show(preview(7));
-        assert!(!shown.is_due(), "it was just taken");
+        assert!(!shown.is_due(), "the preview is new");
         assert_eq!(previews.latest(&job).map(|preview| preview.step), Some(7));
         assert!(previews.latest(&other).is_none());
         drop(shown);
-        assert!(previews.latest(&job).is_none(), "it trains no more");
+        assert!(previews.latest(&job).is_none(), "the training has ended");
     }
 }

@@ -1,11 +1,11 @@
-//! From step reports to progress events: at most two a second, each with the expected time to the end.
+//! Turns step reports into progress events: at most two per second, each with the expected time to the end.
 
 use crate::worker::eta::Eta;
 use crate::worker::job_source::{Claim, JobSourceError};
 use relume_api::jobs::JobProgress;
 use relume_train::{Progress, StepReport};
 
-/// Least time between two progress events.
+/// Minimum time between two progress events, milliseconds.
 const INTERVAL_MS: i64 = 500;
 
 /// Decides when progress is reported.
@@ -20,7 +20,7 @@ impl ProgressReporter {
         Self { eta, reported_ms: i64::MIN, last: JobProgress::default() }
     }
 
-    /// What to report of a step that was done by `now_ms`, or nothing when the last report is fresh. The last step always reports.
+    /// The report of a step that ended at `now_ms`; `None` if the last report is recent. The last step is always reported.
     pub(super) fn report(
         &mut self,
         now_ms: i64,
@@ -44,7 +44,7 @@ impl ProgressReporter {
         Some(self.last.clone())
     }
 
-    /// What to report of the work after the last step: the figures of that step stay.
+    /// The report of work after the last step, with the figures of that step.
     pub(super) fn after_training(&self, progress: Progress, message: String) -> JobProgress {
         JobProgress {
             step: i64::from(progress.step),
@@ -56,7 +56,7 @@ impl ProgressReporter {
     }
 }
 
-/// Reports what the worker does before the first step; the steps of earlier attempts stay.
+/// Reports the worker's activity before the first step, with the step of earlier attempts.
 pub(super) async fn announce(claim: &dyn Claim, message: &str) -> Result<(), JobSourceError> {
     let task = claim.task();
     let update = JobProgress {

@@ -1,4 +1,4 @@
-//! What was asked for, on its way to the thread of frames and back.
+//! Requests on their way to a rendering thread, and their answers.
 
 use std::time::{Duration, Instant};
 
@@ -9,37 +9,37 @@ use crate::worker::renders::{LightTask, RenderFailure, RenderTask};
 use relume_spec::rendering::Quality;
 use relume_train::render::Frame;
 
-/// An answer and what it cost to get it.
+/// An answer with its timing.
 #[derive(Debug, Clone)]
 pub struct TimedAnswer<T> {
-    /// What was asked for.
+    /// The result.
     pub answer: T,
     /// Time in the queue.
     pub waited: Duration,
-    /// Training steps that ended meanwhile.
+    /// Training steps that ended in the meantime.
     pub steps_waited: u64,
-    /// Time on the device, preparation of model and light included.
+    /// Time on the device, including preparation of model and light.
     pub took: Duration,
 }
 
-/// A task and where its answer goes.
+/// A task with the destination of its answer.
 pub(super) struct Queued<Task, Answer> {
     pub(super) task: Task,
     reply: oneshot::Sender<Result<TimedAnswer<Answer>, RenderFailure>>,
     queued: Instant,
-    /// Training steps done when it was queued.
+    /// Completed training steps at the time of the request.
     steps_at_start: u64,
-    /// What asked for it: what is done for the task belongs there, on whichever thread.
+    /// The span of the caller. Work for the task is recorded in it, on any thread.
     span: Span,
-    /// The time in the queue.
+    /// The span of the time in the queue.
     wait: Span,
 }
 
-/// Where the answer to a task arrives; it fails when nobody serves it.
+/// Receives the answer to a task. It fails if the task is dropped.
 type Reply<Answer> = oneshot::Receiver<Result<TimedAnswer<Answer>, RenderFailure>>;
 
 impl<Task, Answer> Queued<Task, Answer> {
-    /// A task that is queued now, and where its answer arrives.
+    /// Queues a task. Returns it with the receiver of its answer.
     pub(super) fn new(task: Task, steps_at_start: u64) -> (Self, Reply<Answer>) {
         let (reply, answer) = oneshot::channel();
         let span = Span::current();
@@ -47,7 +47,7 @@ impl<Task, Answer> Queued<Task, Answer> {
         (Self { task, reply, queued: Instant::now(), steps_at_start, span, wait }, answer)
     }
 
-    /// Answers with what `serve` makes of the task. It is told whether the caller still waits, so that it can stop.
+    /// Sends the result of `serve` as the answer. `serve` can query whether the caller still waits, so that it can stop.
     pub(super) fn answer(
         self,
         steps_now: u64,
@@ -63,7 +63,7 @@ impl<Task, Answer> Queued<Task, Answer> {
     }
 }
 
-/// What the thread of frames is asked for.
+/// A request to a rendering thread.
 pub(super) enum Request {
     /// A frame.
     Frame(Queued<RenderTask, Frame>),
@@ -72,8 +72,8 @@ pub(super) enum Request {
 }
 
 impl Request {
-    /// What it costs on the device beside others, as [`RenderTask::cost`]. A light may have to be prepared, which nothing
-    /// interrupts: it does not come between the bands of a frame.
+    /// The relative cost on the device, as [`RenderTask::cost`]. The preparation of a light cannot be interrupted, so a light is
+    /// not served between the bands of a frame.
     pub(super) fn cost(&self) -> u64 {
         match self {
             Self::Frame(frame) => frame.task.cost(),

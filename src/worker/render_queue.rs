@@ -1,5 +1,5 @@
-//! Frames that wait for the device: cheap ones first, none forever, none whose caller has gone. Those that nobody looks at come after
-//! all others.
+//! The queue of frames: cheap frames are rendered first, each frame is overtaken a limited number of times, and frames of
+//! disconnected callers are removed. Background frames come after all others.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -8,24 +8,24 @@ use tokio::sync::Notify;
 use crate::worker::queued::Request;
 use relume_spec::rendering::Quality;
 
-/// Younger frames that may overtake one because they are cheaper.
+/// Maximum number of younger, cheaper frames that may overtake a frame.
 const MAX_OVERTAKES: u32 = 16;
 
-/// Who waits for a frame.
+/// Priority of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum RenderPriority {
-    /// Somebody who looks.
+    /// A client waits for the frame.
     Interactive,
-    /// An export: it is rendered while nobody else waits.
+    /// An export. It is rendered when no interactive frame is queued.
     Background,
 }
 
-/// The side of the queue that asks for frames.
+/// The sending side of the queue.
 #[derive(Clone)]
 pub(super) struct RenderQueue(Arc<QueueInner>);
 
-/// The side of the queue that renders, for one thread or several. When the last is dropped, whoever waits is answered that the
-/// device is busy.
+/// The receiving side of the queue, for one or several threads. When the last one is dropped, waiting callers get the answer that
+/// the device is busy.
 #[derive(Clone)]
 pub(super) struct RenderReceiver {
     queue: Arc<QueueInner>,
@@ -35,7 +35,7 @@ pub(super) struct RenderReceiver {
 /// Closes the queue when it is dropped.
 struct CloseOnDrop(Arc<QueueInner>);
 
-/// A caller's place in the queue. A frame whose caller drops it is not rendered.
+/// A caller's entry in the queue. When it is dropped, its frame is removed from the queue.
 pub(super) struct QueueSlot {
     queue: Arc<QueueInner>,
     id: u64,
@@ -51,7 +51,7 @@ struct QueueInner {
 struct QueueState {
     next: u64,
     closed: bool,
-    /// In the order in which they came.
+    /// In order of arrival.
     waiting: Vec<QueueEntry>,
 }
 
@@ -59,7 +59,7 @@ struct QueueEntry {
     id: u64,
     cost: u64,
     priority: RenderPriority,
-    /// Younger ones that were rendered before it.
+    /// Number of younger frames that were rendered before it.
     overtaken: u32,
     request: Request,
 }
@@ -78,7 +78,7 @@ impl QueueInner {
 }
 
 impl RenderQueue {
-    /// Queues a request; `None` when too many wait or nobody renders any more.
+    /// Queues a request; `None` if the queue is full or no receiver exists.
     pub(super) fn push(&self, request: Request, priority: RenderPriority) -> Option<QueueSlot> {
         let mut state = self.0.lock();
         if state.closed || state.waiting.len() >= self.0.capacity {
@@ -92,22 +92,22 @@ impl RenderQueue {
         Some(QueueSlot { queue: self.0.clone(), id })
     }
 
-    /// True when nobody renders any more.
+    /// Whether no receiver exists.
     pub(super) fn is_closed(&self) -> bool {
         self.0.lock().closed
     }
 }
 
 impl RenderReceiver {
-    /// Ends when a frame waits.
+    /// Waits until a frame is queued.
     pub(super) async fn arrival(&mut self) {
         while self.queue.lock().waiting.is_empty() {
             self.queue.arrived.notified().await;
         }
     }
 
-    /// The frame to render next: the oldest that was overtaken too often, else the cheapest; one of the background where there is no
-    /// other.
+    /// The next frame to render: the oldest that was overtaken too often, otherwise the cheapest interactive frame, otherwise the
+    /// cheapest background frame.
     pub(super) fn try_recv(&mut self) -> Option<Request> {
         let mut state = self.queue.lock();
         let waiting = &mut state.waiting;
@@ -123,7 +123,7 @@ impl RenderReceiver {
         Some(waiting.remove(next).request)
     }
 
-    /// The cheapest frame that somebody looks at, if it is one of a single band: it may come between the bands of another.
+    /// The cheapest interactive frame, if it has a single band. It may be rendered between the bands of another frame.
     pub(super) fn try_recv_cheap(&mut self) -> Option<Request> {
         let mut state = self.queue.lock();
         let waiting = &mut state.waiting;
@@ -173,7 +173,7 @@ mod tests {
         LightTask { model, light: LightSource::Recovered, rotation_deg: 0.0, with_map: false }
     }
 
-    /// Queues a frame of a size; its caller is the place.
+    /// Queues a frame with a size; the returned slot stands for its caller.
     fn push(queue: &RenderQueue, size: u32) -> Option<QueueSlot> {
         push_as(queue, size, RenderPriority::Interactive)
     }
@@ -182,7 +182,7 @@ mod tests {
         queue.push(Request::Frame(Queued::new(task(size, Tier::Standard), 0).0), priority)
     }
 
-    /// Side of a frame; none of a light.
+    /// Side of a frame; `None` for a light.
     fn size_of(request: &Request) -> Option<u32> {
         match request {
             Request::Frame(frame) => Some(frame.task.pixels().isqrt() as u32),
@@ -217,7 +217,7 @@ mod tests {
         let _light = queue.push(Request::Light(light), RenderPriority::Interactive).unwrap();
         let mut next = || waiting.try_recv_cheap().as_ref().map(size_of);
         assert_eq!([(); 3].map(|()| next()), [Some(Some(64)), Some(Some(128)), None]);
-        assert_eq!(size_of(&waiting.try_recv().unwrap()), None, "a light waits for its turn");
+        assert_eq!(size_of(&waiting.try_recv().unwrap()), None, "a light is not served between bands");
         assert_eq!(next_size(&mut waiting), 2048, "and so does the frame");
     }
 
@@ -228,11 +228,11 @@ mod tests {
         assert!(waiting.try_recv_cheap().is_none(), "not between the bands of another");
         for _ in 0..3 * MAX_OVERTAKES {
             let _looked_at = push(&queue, 1024).unwrap();
-            assert_eq!(next_size(&mut waiting), 1024, "however cheap it is and however long it waits");
+            assert_eq!(next_size(&mut waiting), 1024, "independent of cost and waiting time");
         }
         assert_eq!(next_size(&mut waiting), 32);
         let _control = push(&queue, 32).unwrap();
-        assert!(waiting.try_recv_cheap().is_some(), "the control: the same frame, looked at");
+        assert!(waiting.try_recv_cheap().is_some(), "the control: the same frame as interactive");
     }
 
     #[test]

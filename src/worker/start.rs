@@ -1,4 +1,4 @@
-//! Starting the threads of a worker.
+//! Starts the threads of a worker.
 
 use std::io;
 use std::sync::Arc;
@@ -19,18 +19,18 @@ use crate::worker::thread::{JobOutcome, Worker};
 use relume_capture::ImportLimits;
 use relume_engine::DeviceChoice;
 
-/// Sizes of the worker's queue and caches.
+/// Options of a worker.
 #[derive(Debug, Clone, Copy)]
 pub struct WorkerOptions {
-    /// Renders that may wait; one more is turned away.
+    /// Maximum number of queued renders; further renders are refused.
     pub render_queue: usize,
-    /// Models in the cache, at least 1.
+    /// Maximum number of cached models, at least 1.
     pub models: usize,
-    /// Prepared lights in the cache, at least 1.
+    /// Maximum number of cached prepared lights, at least 1.
     pub lights: usize,
-    /// Where to train and render.
+    /// The device for training and rendering.
     pub device: DeviceChoice,
-    /// Bounds on captures, when they are uploaded and when a job reads them.
+    /// Limits of captures, for uploads and for jobs.
     pub import_limits: ImportLimits,
 }
 
@@ -46,8 +46,8 @@ impl Default for WorkerOptions {
     }
 }
 
-/// Starts a thread that trains and those that render frames, all on `device`: no frame waits for more of a training than what the
-/// device is at. They end, with the job checkpointed and released, after `stop` is cancelled.
+/// Starts a training thread and rendering threads on `device`. A frame waits for a training at most as long as the device is busy
+/// with it. After `stop` is cancelled, the job is checkpointed and released, and the threads exit.
 ///
 /// Must be called inside a tokio runtime.
 ///
@@ -88,7 +88,7 @@ pub fn start(
         drop(ended);
         for thread in frame_threads {
             if thread.join().is_err() {
-                tracing::error!("a thread of frames did not end well");
+                tracing::error!("a rendering thread panicked");
             }
         }
     };
@@ -96,17 +96,17 @@ pub fn start(
     Ok((DeviceHandle::new(queue, steps, has_gpu, previews, last.drop_guard()), thread))
 }
 
-/// How a worker works that serves no frames.
+/// Options of a worker that renders no frames.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct TrainingOptions {
-    /// Bounds on captures.
+    /// Limits of captures.
     pub import_limits: ImportLimits,
-    /// Whether it ends after one job, or when none waits.
+    /// Whether the worker exits after one job, or if no job is queued.
     pub once: bool,
 }
 
-/// Starts a thread that trains and serves no frames. It ends, with the job checkpointed and released, after `stop` is cancelled, and
-/// says how its last job ended.
+/// Starts a training thread without rendering threads. After `stop` is cancelled, the job is checkpointed and released, and the
+/// thread returns the result of its last job.
 ///
 /// Must be called inside a tokio runtime.
 ///

@@ -1,4 +1,4 @@
-//! The training thread: takes jobs from a source.
+//! The training thread, which claims jobs from a source and runs them.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -19,21 +19,21 @@ use crate::worker::training::outcome::AttemptEnd;
 use relume_capture::ImportLimits;
 use relume_engine::Device;
 
-/// How long an idle worker sleeps before it asks for a job unprompted.
+/// Time after which an idle worker asks for a job without a notification.
 const IDLE: Duration = Duration::from_secs(1);
 
-/// How work on a job ended.
+/// Result of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JobOutcome {
-    /// Its model is published.
+    /// The model is published.
     Published,
-    /// It has failed.
+    /// The job has failed.
     Failed,
-    /// It was cancelled, or another worker has it.
+    /// The job was cancelled, or another worker has it.
     LeaseLost,
-    /// It is in the queue again.
+    /// The job was returned to the queue.
     Requeued,
-    /// There was none: the worker may not have any.
+    /// The worker is not permitted to claim jobs.
     Refused,
 }
 
@@ -47,27 +47,27 @@ impl From<AttemptEnd> for JobOutcome {
     }
 }
 
-/// A thread that trains.
+/// The state of a training thread.
 pub(super) struct Worker {
     pub(super) source: Arc<dyn JobSource>,
-    /// What trains where a job does not say.
+    /// The device for jobs that do not request one.
     pub(super) device: OpenedDevice,
-    /// Training steps done.
+    /// Completed training steps.
     pub(super) steps: Arc<AtomicU64>,
-    /// How what trains looks.
+    /// The previews of the running training.
     pub(super) previews: Arc<Previews>,
-    /// Bounds on captures.
+    /// Limits of captures.
     pub(super) import_limits: ImportLimits,
     pub(super) changes: watch::Receiver<()>,
     pub(super) stop: CancellationToken,
-    /// Cancelled when nobody can ask for frames any more: the server has ended.
+    /// Cancelled when the last device handle is dropped, because the server has ended.
     pub(super) abandoned: CancellationToken,
-    /// Whether it ends after one job, or when none waits.
+    /// Whether the worker exits after one job, or if no job is queued.
     pub(super) once: bool,
 }
 
 impl Worker {
-    /// Works until it is to stop. Returns how the last job ended, if there was one.
+    /// Runs jobs until the worker is stopped. Returns the result of the last job, if any.
     pub(super) async fn run(mut self) -> Option<JobOutcome> {
         let mut last = None;
         while !self.stop.is_cancelled() {
@@ -83,11 +83,11 @@ impl Worker {
                 Ok(ClaimOutcome::Nothing) if self.once => break,
                 Ok(ClaimOutcome::Nothing) => self.wait().await,
                 Err(JobSourceError::Refused(why)) => {
-                    tracing::error!(why, "no job is given to this worker");
+                    tracing::error!(why, "the server refuses to give jobs to this worker");
                     return Some(JobOutcome::Refused);
                 }
                 Err(error) => {
-                    tracing::error!(%error, "no job can be claimed");
+                    tracing::error!(%error, "cannot claim a job");
                     self.wait().await;
                 }
             }
@@ -95,7 +95,7 @@ impl Worker {
         last
     }
 
-    /// Waits until something may be due.
+    /// Waits for a notification, a stop or the idle time.
     pub(super) async fn wait(&mut self) {
         tokio::select! {
             () = self.stop.cancelled() => {}
@@ -105,18 +105,18 @@ impl Worker {
         }
     }
 
-    /// What trains where a job does not say.
+    /// The device for jobs that do not request one.
     pub(super) fn device(&self) -> &Device {
         self.device.device()
     }
 
-    /// Makes one attempt at a job and records how it ended, also when it panics.
+    /// Makes one attempt at a job and records its result, also after a panic.
     async fn work(&mut self, claim: &dyn Claim) -> JobOutcome {
         let span = self.span_of(claim);
         self.attempt(claim).instrument(span).await
     }
 
-    /// The span of an attempt: part of the trace of the request that made the job.
+    /// The span of an attempt, in the trace of the request that created the job.
     fn span_of(&self, claim: &dyn Claim) -> Span {
         let task = claim.task();
         let worker = self.source.worker().map(tracing::field::display);

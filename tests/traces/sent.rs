@@ -202,7 +202,7 @@ async fn an_unreachable_collector_gives_one_warning_and_no_delay() {
     }
     terminate(&mut server).await;
     let log = std::fs::read_to_string(data.path().join("log")).unwrap();
-    let warnings = log.lines().filter(|line| line.contains("takes no spans")).count();
+    let warnings = log.lines().filter(|line| line.contains("accepts no spans")).count();
     assert_eq!(warnings, 1, "{log}");
 }
 

@@ -4,5 +4,5 @@ mod chaos;
 mod fencing;
 pub mod fleet;
 mod processes;
+mod registry;
 mod replicas;
-mod roll;

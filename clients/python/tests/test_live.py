@@ -1,4 +1,4 @@
-"""Against a real server: RELUME_SERVER is its address, RELUME_KEY its key, RELUME_CAPTURE a capture to train on."""
+"""Against a real server: RELUME_SERVER is its address, RELUME_API_KEY its key, RELUME_CAPTURE a capture to train on."""
 
 from __future__ import annotations
 

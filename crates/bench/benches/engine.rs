@@ -1,6 +1,7 @@
 //! Speed of the CPU engine by stage: full model, 200x200 px, 10,000 Gaussians in the unit ball.
 //!
-//! `cargo bench --bench engine` prints medians; compare rows of one run with each other, not runs of two machines.
+//! `cargo bench -p relume-bench --bench engine` prints medians. Compare rows of one run, not runs on different
+//! machines.
 
 #![allow(clippy::unwrap_used, missing_docs)]
 
@@ -33,7 +34,7 @@ fn main() {
     divan::main();
 }
 
-/// Gaussians of a few pixels on a wavy sphere, seeded.
+/// Gaussians that cover a few pixels, on a wavy sphere; seeded.
 fn model() -> &'static Model {
     static MODEL: OnceLock<Model> = OnceLock::new();
     MODEL.get_or_init(|| {
@@ -179,13 +180,14 @@ fn capture(side: u32) -> Capture {
     }
 }
 
-/// A whole optimisation step; `warm_up` 1 = radiance branch alone, 0 = full model. Probes are refreshed outside.
+/// A complete optimisation step: with `warm_up` 1 the radiance branch only, with 0 the full model. Excludes the
+/// refresh of probes.
 #[divan::bench(args = [1.0, 0.0], sample_count = 60)]
 fn training_step(b: Bencher, warm_up: f32) {
     step(b, warm_up, SIDE, GAUSSIANS as u32);
 }
 
-/// A step of the full model of the size of a test: 160 Gaussians, 24x24 px.
+/// A step of the full model at the size of a test: 160 Gaussians, 24x24 px.
 #[divan::bench(sample_count = 400)]
 fn small_training_step(b: Bencher) {
     step(b, 0.0, 24, 160);

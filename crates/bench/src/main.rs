@@ -20,7 +20,7 @@ struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
-    /// Error of a device's engine against f64, stage by stage, by kind of scene.
+    /// Error of a device's engine against f64, by stage and kind of scene.
     Precision(precision::PrecisionArgs),
 }
 

@@ -1,4 +1,4 @@
-//! `relume-bench precision`: the error of an f32 engine against the f64 reference, stage by stage, by kind of scene.
+//! `relume-bench precision`: the error of an f32 engine against the f64 reference, by stage and kind of scene.
 
 use std::path::PathBuf;
 
@@ -24,8 +24,8 @@ const SIZE: (u32, u32) = (24, 16);
 const GAUSSIANS: usize = 24;
 const ENVIRONMENT: (usize, usize) = (16, 8);
 const SH_DEGREE: usize = 2;
-/// Pixels with a splat this close (relative) to a threshold of alpha are left out: an f32 engine may decide the threshold
-/// otherwise without an error in its digits.
+/// Relative distance of a splat's alpha to a threshold below which a pixel is left out: an f32 engine may decide the
+/// threshold differently without an error in its digits.
 const MARGIN: f64 = 2e-3;
 /// Weights of the image term (docs/MODEL.md section 5).
 const IMAGE_WEIGHTS: [f32; 2] = [1.0, 0.25];
@@ -33,30 +33,30 @@ const IMAGE_WEIGHTS: [f32; 2] = [1.0, 0.25];
 /// Options of `relume-bench precision`.
 #[derive(Debug, clap::Args)]
 pub(super) struct PrecisionArgs {
-    /// The engine that is measured: `auto`, `cpu`, `gpu` or `gpu:N`.
+    /// The measured engine: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value = "cpu")]
     device: DeviceChoice,
     /// First seed of the scenes.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Scenes of each kind.
+    /// Number of scenes of each kind.
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..=1000))]
     scenes: u64,
-    /// The Markdown file to write; printed in any case.
+    /// Markdown file for the report, which is also printed.
     #[arg(long)]
     out: Option<PathBuf>,
 }
 
-/// Kinds of scenes, by what makes them hard in f32.
+/// Kinds of scenes that are difficult in f32.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum SceneKind {
-    /// Soft Gaussians about the origin.
+    /// Soft Gaussians around the origin.
     Ordinary,
-    /// A thousand times as long as thick, larger than the image.
+    /// Gaussians a thousand times as long as thick, larger than the image.
     Needles,
-    /// A hundred thousand scene radii away.
+    /// The camera is a hundred thousand scene radii away.
     FarCamera,
-    /// Nearly opaque flat Gaussians, most of them hidden.
+    /// Nearly opaque flat Gaussians, most of them occluded.
     NearOpaque,
 }
 
@@ -68,15 +68,15 @@ const KINDS: [(SceneKind, &str); 4] = [
 ];
 
 const STAGES: [&str; 9] = [
-    "projected mean, of the image's width",
-    "conic, of its largest entry",
+    "projected mean, relative to the image width",
+    "conic, relative to its largest entry",
     "coverage",
     "radiance branch (blending)",
     "shaded image",
-    "gradient of L1 + SSIM by the image",
-    "gradients by geometry",
-    "gradients by material",
-    "gradients by light, visibility and radiance",
+    "gradient of L1 + SSIM with respect to the image",
+    "gradients with respect to geometry",
+    "gradients with respect to materials",
+    "gradients with respect to light, visibility and radiance",
 ];
 
 pub(super) fn run(args: &PrecisionArgs) -> Result<(), BoxError> {
@@ -121,7 +121,7 @@ fn report(args: &PrecisionArgs, device: &Device, columns: &[[f64; STAGES.len()]]
     text
 }
 
-/// A model of this kind and a camera that sees it.
+/// A model of this kind, and a camera that views it.
 fn scene(kind: SceneKind, seed: u64) -> Result<(Model, Camera), BoxError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut gaussians = Gaussians::zeroed(GAUSSIANS, 4, SH_DEGREE, 2);
@@ -220,7 +220,7 @@ fn measure(
 fn projection_errors(found: &ParityResult, expected: &ParityResult) -> [f64; 2] {
     let mut errors = [0.0f64; 2];
     for theirs in &expected.splats {
-        // Gaussians that no pixel can see are not drawn by the engine.
+        // The engine does not draw Gaussians that no pixel shows.
         let Ok(at) = found.splats.binary_search_by_key(&theirs.gaussian, |s| s.gaussian) else { continue };
         let ours = &found.splats[at];
         let mean = largest_difference(&ours.mean, &theirs.mean) / f64::from(SIZE.0);
@@ -230,13 +230,13 @@ fn projection_errors(found: &ParityResult, expected: &ParityResult) -> [f64; 2] 
     errors
 }
 
-/// A photograph of noise, of levels of 16 bits.
+/// A photograph of noise with 16-bit levels.
 fn photograph(seed: u64) -> Vec<[f32; 3]> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0xf070);
     (0..SIZE.0 * SIZE.1).map(|_| std::array::from_fn(|_| f32::from(rng.random::<u16>()) / 65_535.0)).collect()
 }
 
-/// The image that the terms are taken of, the same for every engine.
+/// The image for the image terms, the same for every engine.
 fn rendered(answer: &ParityResult) -> Vec<[f32; 3]> {
     answer.physical.iter().map(|p| p.map(|v| v as f32)).collect()
 }

@@ -1,7 +1,7 @@
 //! Untrusted zip and tar archives: indexed once, every limit checked, entries read into memory on demand.
 //!
-//! Nothing is unpacked to disk, so no entry can be written outside a folder. Unsafe names are refused all the
-//! same, since their only use is an attack.
+//! Nothing is unpacked to disk, so no entry can be written outside a folder. Unsafe names are refused anyway, because
+//! only an attack uses them.
 
 use std::collections::BTreeSet;
 use std::error::Error;
@@ -23,7 +23,8 @@ fn damaged(file: &str, reason: impl std::fmt::Display) -> CaptureError {
     CaptureError::ArchiveDamaged { file: file.to_owned(), reason: reason.to_string() }
 }
 
-/// What the operating system says of the disk below an error. A seek to nowhere is the archive's own fault.
+/// The operating system's error below `error`, if there is one. A seek out of range (`InvalidInput`) is a fault of
+/// the archive and gives `None`.
 fn of_disk(error: &(dyn Error + 'static)) -> Option<std::io::Error> {
     let mut next = Some(error);
     while let Some(error) = next {
@@ -37,7 +38,8 @@ fn of_disk(error: &(dyn Error + 'static)) -> Option<std::io::Error> {
     None
 }
 
-/// Why an archive cannot be read: the disk failed, or it is damaged.
+/// The error for an archive that cannot be read: [`CaptureError::Io`] if the disk failed, else
+/// [`CaptureError::ArchiveDamaged`].
 fn unreadable(file: &str, says: &str, error: &(dyn Error + 'static)) -> CaptureError {
     match of_disk(error) {
         Some(source) => CaptureError::Io { file: file.to_owned(), source },
@@ -86,7 +88,7 @@ impl<'a> EntryCheck<'a> {
             return Err(CaptureError::over_limit(self.label, "max_total_bytes", reason));
         }
         if !self.names.insert(path.clone()) {
-            return Err(unsafe_entry(&path, "the archive has it twice"));
+            return Err(unsafe_entry(&path, "the archive contains this path twice"));
         }
         Ok(path)
     }
@@ -101,7 +103,7 @@ fn safe_path(raw: &[u8]) -> Result<String, CaptureError> {
         return refuse("its name is longer than 1024 bytes");
     }
     if name.contains(['\\', '\0', ':']) {
-        return refuse("its name has a backslash, a colon or a NUL");
+        return refuse("its name contains a backslash, a colon or a NUL");
     }
     if name.starts_with('/') {
         return refuse("its path is absolute");
@@ -133,7 +135,7 @@ pub(super) fn read_bounded(reader: impl Read, limit: u64, name: &str) -> Result<
 
 fn check_ratio(file: &str, packed: u64, unpacked: u64, limits: &ImportLimits) -> Result<(), CaptureError> {
     if unpacked > RATIO_FREE_BYTES && unpacked / packed.max(1) >= limits.max_ratio {
-        let reason = format!("{packed} bytes claim to unpack to {unpacked}");
+        let reason = format!("{packed} bytes are declared to unpack to {unpacked}");
         return Err(CaptureError::over_limit(file, "max_ratio", reason));
     }
     Ok(())
@@ -165,7 +167,7 @@ impl ZipEntries {
         let mut archive =
             zip::ZipArchive::new(BufReader::new(file)).map_err(|e| unreadable(label, "", &e))?;
         if archive.has_duplicate_names() {
-            return Err(unsafe_entry(label, "the archive has a name twice"));
+            return Err(unsafe_entry(label, "the archive contains a path twice"));
         }
         let mut check = EntryCheck::new(label, limits);
         let (mut indices, mut names) = (Vec::new(), Vec::new());
@@ -192,9 +194,9 @@ impl ZipEntries {
         let entry = archive.by_index(self.indices[key]).map_err(|e| unreadable(name, "", &e))?;
         let stated = entry.size();
         let bytes = read_bounded(entry, stated.min(limits.max_entry_bytes), name);
-        let bytes = bytes.map_err(|e| unreadable(name, "does not unpack: ", &e))?;
+        let bytes = bytes.map_err(|e| unreadable(name, "cannot be unpacked: ", &e))?;
         if bytes.len() as u64 != stated {
-            return Err(damaged(name, format!("is cut short: {} of {stated} bytes", bytes.len())));
+            return Err(damaged(name, format!("is truncated: {} of {stated} bytes", bytes.len())));
         }
         Ok(bytes)
     }
@@ -233,7 +235,7 @@ pub(super) enum TarCompression {
     Gzip,
 }
 
-/// The regular files of a tar, which stays on disk when it is not compressed and is held in memory otherwise.
+/// The regular files of a tar. An uncompressed tar stays on disk; a compressed tar is held in memory.
 #[derive(Debug)]
 pub(super) struct TarEntries {
     backing: Backing,
@@ -267,7 +269,7 @@ impl TarEntries {
         Ok((Self { backing: Backing::File(Mutex::new(file)), spans }, names))
     }
 
-    /// Bytes of memory that it takes while it is open, but for its index.
+    /// Bytes of memory that the open archive takes, without its index.
     pub(super) fn held_bytes(&self) -> u64 {
         match &self.backing {
             Backing::Memory(bytes) => bytes.len() as u64,
@@ -307,13 +309,13 @@ fn gunzip(file: File, packed: u64, label: &str, limits: &ImportLimits) -> Result
         return Err(CaptureError::over_limit(
             label,
             name,
-            format!("{packed} bytes unpack to more than {limit}"),
+            format!("{packed} bytes unpack to more than {limit} bytes"),
         ));
     }
     Ok(bytes)
 }
 
-/// What an error says, without the bytes that are no header and that it repeats.
+/// The text of `error` without the invalid header bytes that it repeats.
 fn without_bytes(error: &std::io::Error) -> String {
     let text = error.to_string();
     let end = text.find(':').into_iter().chain(text.find(" when getting ")).min();
@@ -344,7 +346,7 @@ fn index_tar(
         let (start, size) = (entry.raw_file_position(), entry.size());
         end = start.saturating_add(size);
         if end > length {
-            return Err(damaged(&String::from_utf8_lossy(&name), "is cut short: the archive ends in it"));
+            return Err(damaged(&String::from_utf8_lossy(&name), "is truncated: the archive ends inside it"));
         }
         if kind.is_pax_global_extensions() {
             continue;
@@ -356,15 +358,15 @@ fn index_tar(
             continue;
         }
         if !(kind.is_file() || kind.is_contiguous()) {
-            let reason = "it is a link, a device or sparse, not a regular file";
+            let reason = "it is a link, a device or a sparse file, not a regular file";
             return Err(unsafe_entry(&String::from_utf8_lossy(&name), reason));
         }
         names.push(check.file(&name, size)?);
         spans.push((start, size));
     }
-    // A complete tar ends in blocks of zeros; one cut between two entries does not.
+    // A complete tar ends in blocks of zeros; a tar that is truncated between two entries does not.
     if length < end.next_multiple_of(512).saturating_add(512) {
-        return Err(damaged(label, "is cut short: it has no end mark"));
+        return Err(damaged(label, "is truncated: the blocks that end an archive are missing"));
     }
     Ok((spans, names))
 }

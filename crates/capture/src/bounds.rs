@@ -1,22 +1,22 @@
-//! Estimates position and size of the subject from the cameras and the sparse points.
+//! Estimates the position and size of the object from the cameras and the sparse points.
 
 use glam::{DMat3, DVec3};
 
 use crate::{CaptureView, SceneBounds};
 use relume_scene::{Camera, Framing};
 
-/// Radius of the subject relative to the ball that a camera sees completely.
+/// Radius of the object relative to the ball that a camera sees completely.
 const CORNER_MARGIN: f64 = 1.15;
 
 /// The region of interest.
 ///
-/// - With points: the centre is their median. The radius is the distance within which 90 % of them lie, at most
-///   twice that of the farthest camera, so that a few very distant points do not decide.
-/// - Without points, with masks: the centre is the point nearest to all optical axes. The radius is that of the
-///   ball that the median camera just sees completely, times [`CORNER_MARGIN`], since tightly framed subjects
-///   reach into the image's corners. For NeRF-synthetic this gives the origin and radius 1.57.
+/// - With points: the centre is their median. The radius is the distance within which 90 % of them lie, at most twice
+///   that of the farthest camera, so that a few very distant points have no effect.
+/// - Without points, with masks: the centre is the point nearest to all optical axes. The radius is that of the ball
+///   that the median camera just sees completely, times [`CORNER_MARGIN`], since tightly framed objects reach into
+///   the image's corners. For NeRF-synthetic this gives the origin and radius 1.57.
 /// - Without points and masks: the same centre. The radius is the distance of the median camera, since the
-///   surroundings are in the photographs too.
+///   photographs also show the surroundings.
 pub(super) fn bounds(views: &[CaptureView], points: &[(DVec3, [f32; 3])], has_alpha: bool) -> SceneBounds {
     let cameras: Vec<&Camera> = views.iter().map(|v| &v.camera).collect();
     if points.len() >= 16 {
@@ -31,8 +31,9 @@ pub(super) fn bounds(views: &[CaptureView], points: &[(DVec3, [f32; 3])], has_al
     SceneBounds { centre, radius: positive(radius) }
 }
 
-/// Where cameras look: the point nearest to all optical axes, and the radius of the ball around it that fills the longer side of
-/// the median camera's picture. What people walk around rarely lies in the middle of every picture, nor is it smaller than that.
+/// The region that the cameras look at: the point nearest to all optical axes, and the radius of the ball around it
+/// that fills the longer side of the median camera's image. An object is rarely in the middle of every image, and
+/// rarely smaller than this ball.
 pub fn focus_region(cameras: &[&Camera]) -> (DVec3, f64) {
     let centre = nearest_to_axes(cameras);
     let radius = |camera: &&Camera| {
@@ -45,8 +46,9 @@ pub fn focus_region(cameras: &[&Camera]) -> (DVec3, f64) {
     (centre, positive(quantile(cameras.iter().map(radius).collect(), 0.5)))
 }
 
-/// The photograph nearest to the middle of all, turned to what they look at: its shorter side is the field of view. `None` where
-/// that camera stands in what it looks at.
+/// The default view of a model: the camera in the middle of all directions, pointed at the point nearest to all
+/// optical axes. The field of view is that of the camera's shorter side. `None` without cameras, or if the camera
+/// lies at that point.
 pub fn framing(cameras: &[&Camera]) -> Option<Framing> {
     let target = nearest_to_axes(cameras);
     let direction = |camera: &Camera| (camera.centre() - target).normalize_or_zero();

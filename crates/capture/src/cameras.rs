@@ -14,16 +14,16 @@ use relume_scene::Camera;
 pub struct PhotoCamera {
     /// The image's name in the capture, e.g. `train_007/rgba.png`.
     pub name: String,
-    /// Whether trainings leave it out, to be judged by it.
+    /// Whether the photograph is held out of training, for evaluation.
     pub is_held_out: bool,
     /// Pose and intrinsics at the stored size, distortion removed.
     pub camera: Camera,
-    /// Turn of the light about +Z against the other photographs, degrees counter-clockwise seen from above.
+    /// Rotation of the light about +Z relative to the other photographs, degrees, counter-clockwise seen from above.
     pub light_rotation_deg: f64,
 }
 
-/// The cameras of a folder, zip, tar or tar.gz, in the order in which it names them: those of [`crate::import`] at full
-/// resolution. Of the images only the headers are decoded.
+/// The cameras of a folder, zip, tar or tar.gz, in the order in which the layout names them. They are those of
+/// [`crate::import`] at full resolution. Only the headers of the images are decoded.
 ///
 /// # Errors
 /// [`CaptureError`] names the file and field at fault.
@@ -74,8 +74,8 @@ pub fn cameras_of_transforms(
     photos.map(|photo| stated_camera(photo, size)).collect()
 }
 
-/// The cameras of a folder or archive with a COLMAP model, without its photographs, in the order of their names. The world is that
-/// of the capture: COLMAP's, turned so that the mean up of these cameras is +Z.
+/// The cameras of a folder or archive with a COLMAP model, without its photographs, sorted by name. The world is that
+/// of the capture: COLMAP's world, rotated so that the mean up of these cameras is +Z.
 ///
 /// # Errors
 /// [`CaptureError`] names the file and field at fault, or says that there is no model.
@@ -89,12 +89,12 @@ pub fn cameras_of_colmap(path: &Path, limits: &ImportLimits) -> Result<Vec<Photo
     photos.into_iter().map(|photo| stated_camera(photo, None)).collect()
 }
 
-/// The camera of a photograph that need not be there, at the size that its lens states, else at `size`.
+/// The camera of a photograph that may be absent, at the size that its lens states, else at `size`.
 fn stated_camera(photo: PhotoEntry, size: Option<(u32, u32)>) -> Result<PhotoCamera, CaptureError> {
     let pixels = |side: f64| (1.0..=1e6).contains(&side).then_some(side.round() as u32);
     let stated = photo.lens.size.and_then(|(width, height)| pixels(width).zip(pixels(height)));
     let size = stated.or(size).ok_or_else(|| {
-        let reason = "no image size is stated, and there is no photograph to take it from";
+        let reason = "no image size is stated, and no photograph has one";
         CaptureError::at_field(&photo.stated_in, format!("{}.w,h", photo.field), reason)
     })?;
     let camera = photos::camera_at(&photo, size)?;

@@ -28,7 +28,7 @@ enum Container {
 impl CaptureFiles {
     /// Opens a folder or an archive (zip, tar, gzipped tar); the kind of archive is detected from its content.
     ///
-    /// A single folder around all files is removed from the paths, and files that file managers add are left out.
+    /// A single folder around all files is removed from the paths. Files that file managers add are skipped.
     ///
     /// # Errors
     /// [`CaptureError`] when the archive is damaged, unsafe or over a limit. Links are followed in a folder, and
@@ -56,12 +56,12 @@ impl CaptureFiles {
         &self.label
     }
 
-    /// The limits it was opened with.
+    /// The limits that [`CaptureFiles::open`] was given.
     pub fn limits(&self) -> &ImportLimits {
         &self.limits
     }
 
-    /// Bytes of memory that an open archive takes, but for its index: those of a gzipped tar.
+    /// Bytes of memory that an open archive takes, without its index: those of a gzipped tar.
     pub(super) fn held_bytes(&self) -> u64 {
         match &self.container {
             Container::Tar(tar) => tar.held_bytes(),
@@ -147,7 +147,7 @@ fn files_below(root: &Path, limits: &ImportLimits) -> Result<(Vec<PathBuf>, Vec<
         for entry in std::fs::read_dir(&folder).map_err(io)? {
             let entry = entry.map_err(io)?;
             let Ok(name) = entry.file_name().into_string() else { continue };
-            // A link without a target is left out.
+            // A link without a target is skipped.
             let Ok(meta) = std::fs::metadata(entry.path()) else { continue };
             let relative = format!("{prefix}{name}");
             if meta.is_dir() && depth < DEPTH {

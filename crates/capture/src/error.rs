@@ -1,4 +1,4 @@
-//! Why a capture was refused: a text for a person and a code for a program.
+//! Errors of captures: a message for people and a code for programs.
 
 /// An error that names the file at fault, and the field in it.
 #[derive(Debug, thiserror::Error)]
@@ -11,7 +11,7 @@ pub enum CaptureError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// The archive is cut short, corrupt or of no known kind.
+    /// The archive is truncated, corrupt or of an unknown kind.
     #[error("{file}: {reason}")]
     ArchiveDamaged {
         /// The archive, or the entry in it.
@@ -22,25 +22,26 @@ pub enum CaptureError {
     /// An entry that is not safe: a path that leads out of the archive, a link, a device, a duplicate.
     #[error("{file}: refused: {reason}")]
     UnsafeEntry {
-        /// The entry's name as the archive spells it.
+        /// The entry's name as the archive states it.
         file: String,
         /// What is wrong with it.
         reason: String,
     },
-    /// A limit of [`super::ImportLimits`] was passed.
+    /// A limit of [`super::ImportLimits`] was exceeded.
     #[error("{file}: over the limit {limit}: {reason}")]
     OverLimit {
         /// The archive, entry or image.
         file: String,
-        /// The field of [`super::ImportLimits`] that was passed.
+        /// The field of [`super::ImportLimits`] that was exceeded.
         limit: &'static str,
         /// By how much.
         reason: String,
     },
-    /// No importer recognises what is there.
+    /// No importer recognises the files.
     #[error(
-        "no known layout: {reason}; expected transforms_train.json (NeRF-synthetic, TensoIR), transforms.json (nerfstudio), sparse/0 (COLMAP) or poses_bounds.npy (LLFF); \
-         photographs without poses get them by `relume capture poses` or `relume train`"
+        "unknown layout: {reason}; expected transforms_train.json (NeRF-synthetic, TensoIR), \
+         transforms.json (nerfstudio), sparse/0 (COLMAP) or poses_bounds.npy (LLFF); \
+         `relume capture poses` and `relume train` compute the poses of photographs without poses"
     )]
     UnknownLayout {
         /// What was found instead.
@@ -72,7 +73,7 @@ pub enum CaptureError {
         /// What is wrong.
         reason: String,
     },
-    /// Too few photographs are there to train on.
+    /// There are too few photographs to train on.
     #[error("{file}: {usable} usable images, at least {required} are needed{}", missing_note(.missing))]
     TooFewImages {
         /// The file that lists the images.
@@ -113,7 +114,7 @@ impl CaptureError {
         Self::Image { file: file.to_owned(), reason: reason.to_string() }
     }
 
-    /// A stable identifier of the kind of refusal, for APIs.
+    /// A stable identifier of the kind of error, for APIs.
     pub fn code(&self) -> &'static str {
         match self {
             Self::Io { .. } => "capture_io",

@@ -9,9 +9,9 @@ use relume_scene::ImageRgba;
 use relume_scene::srgb;
 use relume_spec::training::GreyCard;
 
-/// Least mean of a channel, linear: below, noise decides the colour.
+/// Least mean of a channel, linear; below it, noise dominates the colour.
 const MIN_CARD_VALUE: f64 = 0.01;
-/// Largest mean of a channel, linear: above, the photograph is clipped.
+/// Largest mean of a channel, linear; above it, the photograph is clipped.
 const MAX_CARD_VALUE: f64 = 0.98;
 
 fn refused(card: &GreyCard, field: &str, reason: impl Into<String>) -> CaptureError {
@@ -62,8 +62,8 @@ fn bottom(card: &GreyCard) -> usize {
 }
 
 impl Capture {
-    /// Measures the colour of `card` in the folder or archive at `path`, from which this capture was imported. It is read in
-    /// the photograph as stored: at its own size, with its lens, and without a mask that lies beside it.
+    /// Measures the colour of `card` in the folder or archive at `path`, from which this capture was imported. The
+    /// photograph is read as it is stored: at its own size, with its lens distortion, and without a mask file.
     ///
     /// # Errors
     /// [`CaptureError::Field`] with a name that fits no photograph or several, a rectangle that does not lie within it, or a
@@ -116,7 +116,7 @@ mod tests {
         assert!(off([5, 2, 2, 3], &photograph) < 1e-4);
         let control = off([4, 2, 3, 3], &photograph);
         assert!(control.is_finite() && control > 0.1, "the control: a column beside the card, {control}");
-        // What a mask in the picture hides does not count.
+        // Pixels that the photograph's own mask hides do not count.
         photograph.pixels[2 * 8 + 4] = [0.0; 4];
         assert!(off([4, 2, 3, 1], &photograph) < 1e-4);
     }

@@ -16,19 +16,20 @@ pub(super) fn load_image(
     decode(path, &source.read(path)?, options)
 }
 
-/// A photograph that was decoded.
+/// A decoded photograph.
 #[derive(Debug)]
 pub(super) struct Loaded {
-    /// Its pixels, reduced as the options ask.
+    /// Pixels, reduced as the options ask.
     pub image: ImageRgba,
-    /// Its stored size, pixels.
+    /// Stored size, pixels.
     pub stored: (u32, u32),
-    /// The depth that holds what the file has.
+    /// The least bit depth that holds the file's values.
     pub depth: BitDepth,
 }
 
-/// [`load_image`] of a photograph whose lens is stated for `lens_size`: where only the picture as EXIF turns it has that size, it is
-/// turned, and so is the size that is returned. Otherwise poses are those of the pixels as they are stored.
+/// [`load_image`] of a photograph whose lens is stated for `lens_size`. If only the image after EXIF rotation has the
+/// aspect ratio of that size, the image and the returned size are rotated. Otherwise the poses refer to the pixels as
+/// they are stored.
 ///
 /// # Errors
 /// As [`load_image`].
@@ -75,7 +76,7 @@ fn decode(
     })
 }
 
-/// A turn of EXIF that swaps the sides, where the lens is for a picture with swapped sides.
+/// The EXIF orientation, if it swaps the sides (5 to 8) and the lens is stated for an image with swapped sides.
 fn turn(bytes: &[u8], (width, height): (u32, u32), lens_size: Option<(f64, f64)>) -> Option<u8> {
     let (lens_width, lens_height) = lens_size?;
     let fits = |width: u32, height: u32| {
@@ -88,7 +89,7 @@ fn turn(bytes: &[u8], (width, height): (u32, u32), lens_size: Option<(f64, f64)>
     exif_data::read(bytes).orientation.filter(|turn| (5..=8).contains(turn))
 }
 
-/// The image as EXIF's orientation `turn`, 5 to 8, shows it.
+/// The image as EXIF orientation `turn`, 5 to 8, shows it.
 fn turned(image: &ImageRgba, turn: u8) -> ImageRgba {
     let (width, height) = (image.height, image.width);
     let last = (image.width as usize - 1, image.height as usize - 1);
@@ -110,7 +111,7 @@ fn turned(image: &ImageRgba, turn: u8) -> ImageRgba {
 mod tests {
     use super::*;
 
-    /// A JPEG header with EXIF's orientation, which is all that is read of it.
+    /// A JPEG header that states only an EXIF orientation.
     fn noting(orientation: u8) -> Vec<u8> {
         let tiff = [
             b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".as_slice(),
@@ -128,11 +129,11 @@ mod tests {
         assert_eq!(
             turn(&noting(6), (640, 480), Some((640.0, 480.0))),
             None,
-            "poses are of the stored pixels"
+            "poses refer to the stored pixels"
         );
         assert_eq!(turn(&noting(6), (640, 480), None), None);
-        assert_eq!(turn(&noting(3), (640, 480), upright), None, "half a turn swaps nothing");
-        assert_eq!(turn(b"", (640, 480), upright), None, "nothing is noted");
+        assert_eq!(turn(&noting(3), (640, 480), upright), None, "a half turn swaps no sides");
+        assert_eq!(turn(b"", (640, 480), upright), None, "no orientation is stated");
         assert_eq!(turn(&noting(6), (640, 480), Some((100.0, 640.0))), None, "neither fits");
     }
 

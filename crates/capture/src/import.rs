@@ -15,7 +15,7 @@ use relume_spec::{CaptureReport, PhotographNote};
 /// One in this many views, by sorted name, is held out where the set names no test views.
 const HOLD_OUT_EVERY: usize = 8;
 
-/// Imports a folder, zip, tar or tar.gz, whatever supported layout it holds.
+/// Imports a folder, zip, tar or tar.gz with any supported layout.
 ///
 /// # Errors
 /// [`CaptureError`] names the file and field at fault.
@@ -23,7 +23,7 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Capture, CaptureEr
     UndecodedCapture::open(path, options)?.decode()
 }
 
-/// A capture whose photographs were found and not decoded yet.
+/// A capture whose photographs are located but not decoded.
 #[derive(Debug)]
 pub struct UndecodedCapture {
     source: CaptureFiles,
@@ -46,7 +46,8 @@ impl UndecodedCapture {
         Ok(Self { source, options: *options, layout, warnings, sizes })
     }
 
-    /// Widths and heights of the photographs after reduction, pixels, held-out ones too; those that cannot be read have none.
+    /// Widths and heights of the photographs after reduction, pixels, including held-out ones. Photographs that
+    /// cannot be read are left out.
     pub fn sizes(&self) -> &[(u32, u32)] {
         &self.sizes
     }
@@ -56,8 +57,8 @@ impl UndecodedCapture {
         splits(&self.layout.1).iter().filter(|split| **split == Split::Test).count()
     }
 
-    /// Bytes of memory that a pixel takes at least, with its mask, in the first photograph, the last one and one between; 0 where
-    /// there is none.
+    /// Least number of bytes of memory for a pixel with its mask, over the first, the middle and the last photograph;
+    /// 0 without photographs.
     ///
     /// # Errors
     /// As [`import`], of those photographs.
@@ -79,7 +80,7 @@ impl UndecodedCapture {
         Ok(self.decode_and_check(None)?.0)
     }
 
-    /// Decodes the photographs, and has `image_checks` look at each; the files they came from are returned as well.
+    /// Decodes the photographs and passes each to `image_checks`. Also returns the files that they came from.
     fn decode_and_check(
         self,
         image_checks: Option<&ImageChecks>,
@@ -107,8 +108,8 @@ impl UndecodedCapture {
     }
 }
 
-/// Reports what an import would find. Every file is decoded and checked as by [`import`], but images are reduced
-/// to thumbnails at once, so that a capture of any size needs little memory; `options.max_side` is ignored.
+/// Reports what an import would find. Every file is decoded and checked as by [`import`], but images are reduced to
+/// thumbnails at once, so a capture of any size needs little memory; `options.max_side` is ignored.
 ///
 /// # Errors
 /// As [`import`], except that the limit on all pixels together cannot be reached.
@@ -152,20 +153,20 @@ pub(super) fn read_layout(source: &CaptureFiles, warnings: &mut Vec<String>) -> 
     }
     let first: Vec<&str> = source.paths().take(5).collect();
     let reason = if first.is_empty() {
-        "there are no files".to_owned()
+        "the capture has no files".to_owned()
     } else {
-        format!("the files begin with {}", first.join(", "))
+        format!("the first files are {}", first.join(", "))
     };
     Err(CaptureError::UnknownLayout { reason })
 }
 
-/// Whether some layout is there, sound or not.
+/// Whether a layout is present, valid or not.
 pub(super) fn has_layout(source: &CaptureFiles) -> bool {
     let markers = [blender::MARKER, nerfstudio::MARKER, llff::MARKER];
     markers.iter().any(|marker| source.contains(marker)) || colmap::find(source).is_some()
 }
 
-/// What each photograph is used for: as the set says, else every [`HOLD_OUT_EVERY`]th by sorted name is held out.
+/// The use of each photograph: as the set states, else every [`HOLD_OUT_EVERY`]th by sorted name is held out.
 pub(super) fn splits(photos: &[PhotoEntry]) -> Vec<Split> {
     let mut splits: Vec<Split> = photos.iter().map(|p| p.split).collect();
     if !splits.contains(&Split::Test) {

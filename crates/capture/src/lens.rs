@@ -2,10 +2,10 @@
 
 use crate::CaptureError;
 
-/// How a lens deviates from a pinhole.
+/// Lens distortion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Distortion {
-    /// None: a pinhole.
+    /// No distortion: a pinhole.
     None,
     /// Brown-Conrady: radial `k1 k2 k3 k4`, tangential `p1 p2` (OpenCV's and COLMAP's definition).
     RadialTangential {
@@ -32,7 +32,7 @@ impl Distortion {
     }
 }
 
-/// Intrinsics; what a capture file may leave out is optional.
+/// Intrinsics; fields that a capture file may omit are optional.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lens {
     /// Image size of the intrinsics, pixels; `None` means the stored image's own.
@@ -66,7 +66,7 @@ impl Lens {
         let image = (f64::from(width), f64::from(height));
         let stated = self.size.unwrap_or(image);
         if !(stated.0 >= 1.0 && stated.1 >= 1.0 && stated.0.is_finite() && stated.1.is_finite()) {
-            return Err(bad("w,h", format!("{}x{} is no image size", stated.0, stated.1)));
+            return Err(bad("w,h", format!("{}x{} is not an image size", stated.0, stated.1)));
         }
         let scale = (image.0 / stated.0, image.1 / stated.1);
         if (scale.0 / scale.1 - 1.0).abs() > 0.02 {
@@ -76,9 +76,9 @@ impl Lens {
         let by_angle = |angle: Option<f64>, side: f64| angle.map(|a| 0.5 * side / (0.5 * a).tan());
         let fx = self.focal[0].or_else(|| by_angle(self.angle[0], stated.0));
         let fy = self.focal[1].or_else(|| by_angle(self.angle[1], stated.1));
-        // Pixels are square unless two focal lengths say otherwise.
+        // Pixels are square unless two focal lengths are stated.
         let (Some(fx), Some(fy)) = (fx.or(fy), fy.or(fx)) else {
-            return Err(bad("fl_x", "is missing, and so is camera_angle_x: no focal length is known".into()));
+            return Err(bad("fl_x", "is missing, as is camera_angle_x: the focal length is unknown".into()));
         };
         if !(fx.is_finite() && fx > 0.0 && fy.is_finite() && fy > 0.0) {
             let field = if self.focal[0].is_some() { "fl_x,fl_y" } else { "camera_angle_x" };

@@ -1,4 +1,5 @@
-//! Posed photographs: archives and importers, and the synthetic scene.
+//! Captures: import of posed photographs from folders and archives, camera poses from COLMAP, checks of photographs,
+//! file formats, and the synthetic scene.
 
 mod archive;
 mod blender;

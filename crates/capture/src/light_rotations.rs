@@ -1,22 +1,22 @@
-//! Turns of the light that are given beside a capture, by photograph.
+//! Rotations of the light by photograph, given separately from a capture.
 
 use std::collections::BTreeMap;
 
 use crate::{Capture, CaptureError};
 
-/// What an error calls the table of turns.
+/// Name of the table in errors.
 const TABLE: &str = "light rotations";
-/// What is wrong with a name that fits no photograph.
+/// The error for a name that matches no photograph.
 pub(super) const NO_SUCH_PHOTO: &str = "there is no such photograph in the capture";
-/// What is wrong with a name that fits several.
-pub(super) const SEVERAL_PHOTOS: &str = "several photographs have this name: more of their path is needed";
+/// The error for a name that matches several photographs.
+pub(super) const SEVERAL_PHOTOS: &str = "several photographs have this name: give more of the path";
 
 impl Capture {
-    /// Sets the turn of the light of the photographs in `degrees`, counter-clockwise about +Z, by file name: the whole path
-    /// in the capture or the end of it. Training and held-out views may be named.
+    /// Sets the rotation of the light of the photographs in `degrees`, counter-clockwise about +Z, by file name: the
+    /// whole path in the capture or its last parts. The names may be those of training and held-out views.
     ///
     /// # Errors
-    /// [`CaptureError::Field`] with a name that fits no photograph, or several, or has a turn that is not finite.
+    /// [`CaptureError::Field`] with a name that matches no photograph or several, or whose rotation is not finite.
     pub fn set_light_rotations(&mut self, degrees: &BTreeMap<String, f64>) -> Result<(), CaptureError> {
         for (name, turn) in degrees {
             let refused = |reason: &str| CaptureError::at_field(TABLE, name.as_str(), reason);
@@ -34,7 +34,7 @@ impl Capture {
         Ok(())
     }
 
-    /// True when every photograph in `degrees` has the turn that is given there.
+    /// True when every photograph in `degrees` has the rotation that is given there.
     pub fn has_light_rotations(&self, degrees: &BTreeMap<String, f64>) -> bool {
         let views = self.train.iter().chain(&self.test);
         degrees.iter().all(|(name, turn)| {

@@ -13,9 +13,9 @@ const WIDTH: usize = 128;
 /// A built-in environment by name, 128 x 64 texels, mean luminance 0.7 (`night` 0.25, `white` 1).
 ///
 /// ```
-/// let map = relume::capture::builtin("studio").unwrap();
+/// let map = relume_capture::builtin("studio").unwrap();
 /// assert_eq!((map.width(), map.height()), (128, 64));
-/// assert!(relume::capture::builtin("no such light").is_none());
+/// assert!(relume_capture::builtin("no such light").is_none());
 /// ```
 pub fn builtin(name: &str) -> Option<EnvMap> {
     let (sky, mean): (Sky, f32) = match name {

@@ -12,13 +12,13 @@ use crate::{CaptureError, CaptureFiles, masks};
 pub(super) const MARKER: &str = "poses_bounds.npy";
 /// Folders that may hold the photographs; the first that has any is used. Poses are scaled to the size of the images.
 const IMAGE_FOLDERS: [&str; 4] = ["images", "images_2", "images_4", "images_8"];
-/// Numbers of a row: a 3 x 5 matrix, nearest and farthest depth.
+/// Values in a row: a 3 x 5 matrix, nearest and farthest depth.
 const COLUMNS: usize = 17;
 
-/// The photographs, in a world turned so that the cameras' mean up is +Z. Lens distortion is not part of this layout.
+/// The photographs, in a world rotated so that the cameras' mean up is +Z. This layout has no lens distortion.
 ///
 /// # Errors
-/// Names the row at fault, or says that poses and photographs are not equally many.
+/// Names the row at fault, or says that the numbers of poses and photographs differ.
 pub(super) fn read(
     source: &CaptureFiles,
     warnings: &mut Vec<String>,
@@ -77,7 +77,7 @@ fn pose(index: usize, row: &[f64; COLUMNS]) -> Result<DMat4, CaptureError> {
     let [down, right, back, centre] = [0, 1, 2, 3].map(column);
     let axes = DMat3::from_cols(right, -down, back);
     if !(axes.is_finite() && centre.is_finite() && axes.determinant() > 1e-9) {
-        return Err(CaptureError::at_field(MARKER, format!("[{index}]"), "is no pose"));
+        return Err(CaptureError::at_field(MARKER, format!("[{index}]"), "is not a valid pose"));
     }
     let mut pose = DMat4::from_mat3(axes);
     pose.w_axis = centre.extend(1.0);
@@ -86,8 +86,8 @@ fn pose(index: usize, row: &[f64; COLUMNS]) -> Result<DMat4, CaptureError> {
 
 /// The rows of an array of 17 little-endian f64 columns in NumPy's file format.
 fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
-    let cut = || "is cut short".to_owned();
-    let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("is no .npy file")?;
+    let cut = || "is truncated".to_owned();
+    let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("is not an .npy file")?;
     let (&[major, _], rest) = rest.split_first_chunk::<2>().ok_or_else(cut)?;
     let (length, rest) = match major {
         1 => {
@@ -102,18 +102,18 @@ fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
     let (header, data) = rest.split_at_checked(length).ok_or_else(cut)?;
     let header = String::from_utf8_lossy(header).replace(' ', "");
     if !header.contains("'descr':'<f8'") || !header.contains("'fortran_order':False") {
-        return Err("must hold little-endian 64-bit floats, row by row".to_owned());
+        return Err("must contain little-endian 64-bit floats in row-major order".to_owned());
     }
     let shape = header.split_once("'shape':(").and_then(|(_, rest)| rest.split_once(')'));
     let shape: Vec<&str> = shape.map(|(shape, _)| shape.split(',').collect()).unwrap_or_default();
     let [count, "17"] = shape[..] else {
-        return Err(format!("must have 17 columns, its shape is ({})", shape.join(",")));
+        return Err(format!("must have 17 columns; its shape is ({})", shape.join(",")));
     };
     let (values, rest) = data.as_chunks::<8>();
     if !rest.is_empty()
         || Some(values.len()) != count.parse().ok().and_then(|n: usize| n.checked_mul(COLUMNS))
     {
-        return Err("holds another number of values than its header says".to_owned());
+        return Err("contains another number of values than its header states".to_owned());
     }
     let values: Vec<f64> = values.iter().map(|value| f64::from_le_bytes(*value)).collect();
     Ok(values.as_chunks::<COLUMNS>().0.to_vec())
@@ -163,7 +163,7 @@ mod tests {
         std::fs::write(folder.path().join(MARKER), npy("3, 17", &values)).unwrap();
         let capture = import(folder.path(), &ImportOptions::default()).unwrap();
         assert_eq!((capture.layout.as_str(), capture.train.len(), capture.test.len()), ("llff", 2, 1));
-        // The mean up of the cameras is turned to +Z, so what is compared is how they stand to each other.
+        // The mean up of the cameras is rotated to +Z, so the test compares relative poses.
         for (view, camera) in capture.train.iter().zip(&cameras[1..]) {
             let seen = view.camera.forward().dot(capture.test[0].camera.forward());
             let stated = camera.forward().dot(cameras[0].forward());

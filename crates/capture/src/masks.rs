@@ -1,9 +1,10 @@
-//! Masks of single photographs that a layout does not name: files beside them.
+//! Mask files of single photographs that a layout does not name.
 
 use crate::CaptureFiles;
 
-/// The mask of the photograph at `image`, if one lies beside it: `masks/NAME.jpg.png`, `masks/NAME.png` (also `mask/`), where
-/// `NAME` is its path below the folder of photographs, or `NAME_mask.png` in its own folder. White is the subject.
+/// The mask file of the photograph at `image`, if there is one: `masks/NAME.jpg.png`, `masks/NAME.png` (also
+/// `mask/`), where `NAME` is its path below the folder of photographs, or `NAME_mask.png` in its own folder. White
+/// marks the object.
 pub(super) fn beside(source: &CaptureFiles, image: &str) -> Option<String> {
     let below = match image.split_once('/') {
         Some((folder, below)) if folder.starts_with("images") || folder == "input" => below,
@@ -16,7 +17,7 @@ pub(super) fn beside(source: &CaptureFiles, image: &str) -> Option<String> {
     candidates.find(|mask| mask != image && source.contains(mask))
 }
 
-/// A path without the ending of its file.
+/// A path without its file extension.
 pub(super) fn stem(path: &str) -> &str {
     match path.rsplit_once('.') {
         Some((stem, ending)) if !ending.contains('/') => stem,

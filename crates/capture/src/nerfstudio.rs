@@ -9,7 +9,7 @@ use crate::{CaptureError, CaptureFiles, masks};
 /// The file that marks this layout.
 pub(super) const MARKER: &str = "transforms.json";
 
-/// The photographs and the points of `ply_file_path`. The world is +Z up already.
+/// The photographs and the points of `ply_file_path`. The world is already +Z up.
 ///
 /// # Errors
 /// Names the field of `transforms.json`, the mask or the point cloud at fault.

@@ -11,7 +11,7 @@ pub struct ImportLimits {
     pub max_entry_bytes: u64,
     /// Uncompressed bytes of all entries together.
     pub max_total_bytes: u64,
-    /// Bytes a gzipped tar may unpack to; it is held in memory, unlike every other kind.
+    /// Bytes that a gzipped tar may unpack to. Unlike the other containers it is held in memory.
     pub max_gzip_bytes: u64,
     /// Uncompressed size over compressed size, for entries beyond 1 MiB and for the whole archive.
     pub max_ratio: u64,
@@ -19,7 +19,8 @@ pub struct ImportLimits {
     pub max_image_pixels: u64,
     /// Photographs in a capture.
     pub max_images: usize,
-    /// Pixels of all photographs together after reduction; each costs 3 or 4 bytes of memory, of files of 16 bits 6 or 8.
+    /// Pixels of all photographs together after reduction. A pixel takes 3 or 4 bytes of memory, of 16-bit files 6 or
+    /// 8.
     pub max_total_pixels: u64,
     /// Sparse points in a capture.
     pub max_points: usize,
@@ -41,11 +42,11 @@ impl Default for ImportLimits {
     }
 }
 
-/// How to import.
+/// Options of an import.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ImportOptions {
-    /// Longest image side, pixels: larger photographs are reduced by area averaging right after decoding, and
-    /// their cameras with them. `None` keeps the stored size.
+    /// Longest image side, pixels. Larger photographs are reduced by area averaging right after decoding, and their
+    /// cameras are scaled with them. `None` keeps the stored size.
     pub max_side: Option<u32>,
     /// Bounds on what is accepted.
     pub limits: ImportLimits,
@@ -60,12 +61,12 @@ impl Default for ImportOptions {
 }
 
 impl ImportOptions {
-    /// No image longer than `side` pixels, otherwise the defaults.
+    /// The defaults, with images of at most `side` pixels on their longer side.
     pub(super) fn at_most(side: u32) -> Self {
         Self { max_side: Some(side), ..Self::default() }
     }
 
-    /// The size an image of `width` x `height` pixels is reduced to; never enlarged, at least 1 x 1.
+    /// The size that an image of `width` x `height` pixels is reduced to: never enlarged, at least 1 x 1.
     pub fn reduced_size(&self, (width, height): (u32, u32)) -> (u32, u32) {
         let longest = width.max(height);
         match self.max_side {

@@ -1,4 +1,4 @@
-//! A capture that is opened to look at single photographs of it.
+//! Access to single photographs of a capture.
 
 use std::path::Path;
 
@@ -7,9 +7,9 @@ use crate::photos::{self, PhotoEntry};
 use crate::{CaptureError, CaptureFiles, ImportLimits, ImportOptions, images, import};
 use relume_scene::ImageRgba;
 
-/// Bytes a pixel of a decoded file, at most: floats with alpha.
+/// Upper bound on the bytes of a pixel of a decoded file: floats with alpha.
 const STORED_PIXEL: u64 = 16;
-/// Bytes a pixel of a picture: as floats, twice while distortion is removed, and as a file.
+/// Bytes of a pixel of a picture: floats, held twice while distortion is removed, and the encoded file.
 const PICTURE_PIXEL: u64 = 40;
 
 /// The photographs of a capture.
@@ -19,12 +19,12 @@ pub struct CapturePhotos {
     photos: Vec<PhotoEntry>,
 }
 
-/// How a photograph is shown.
+/// Options of [`CapturePhotos::picture`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct PictureOptions {
-    /// Most pixels from left to right; the stored ones when absent. A picture is never enlarged.
+    /// Greatest width, pixels; `None` keeps the stored width. A picture is never enlarged.
     pub width: Option<u32>,
-    /// Whether the distortion of the lens is removed, as trainings do: the picture is that of a pinhole.
+    /// Whether the lens distortion is removed, as in training: the picture is that of a pinhole camera.
     pub undistorted: bool,
 }
 
@@ -39,12 +39,12 @@ impl CapturePhotos {
         Ok(Self { source, photos })
     }
 
-    /// Bytes of memory that it takes while it is open: those of a gzipped tar; what else is there stays on disk.
+    /// Bytes of memory that the open capture takes: those of a gzipped tar. Other captures stay on disk.
     pub fn held_bytes(&self) -> u64 {
         self.source.held_bytes()
     }
 
-    /// Their cameras, in the order in which the capture names them: those of [`crate::cameras`].
+    /// The cameras of the photographs, in the order in which the layout names them: those of [`crate::cameras`].
     ///
     /// # Errors
     /// [`CaptureError`] names the file and field at fault.
@@ -52,12 +52,12 @@ impl CapturePhotos {
         cameras::of_photos(&self.source, &self.photos)
     }
 
-    /// Whether a photograph of the capture is called so. Other files of the archive are none.
+    /// Whether `name` is a photograph of the capture. Other files of the archive are not photographs.
     pub fn contains(&self, name: &str) -> bool {
         self.photos.iter().any(|photo| photo.image == name)
     }
 
-    /// Bytes of memory that [`Self::picture`] takes at most, from the photograph's header.
+    /// Upper bound on the bytes of memory that [`Self::picture`] takes, from the photograph's header.
     ///
     /// # Errors
     /// As [`Self::picture`].
@@ -69,10 +69,10 @@ impl CapturePhotos {
         Ok(pixels(stored) * STORED_PIXEL + pixels(shown) * PICTURE_PIXEL)
     }
 
-    /// A photograph, turned as its camera has it, without a mask that lies beside it.
+    /// A photograph in the orientation of its camera, without its mask file.
     ///
     /// # Errors
-    /// [`CaptureError::File`] when no photograph of the capture is called so; else names what is unusable.
+    /// [`CaptureError::File`] if the capture has no photograph of this name; else names the unusable file or field.
     pub fn picture(&self, name: &str, options: &PictureOptions) -> Result<ImageRgba, CaptureError> {
         let photo = self.find(name)?;
         let stored = images::photo_size(&self.source, name, photo.lens.size)?;
@@ -87,7 +87,7 @@ impl CapturePhotos {
     }
 }
 
-/// Options of an import that bring a photograph of `stored` pixels to the width that is asked for.
+/// Import options that reduce a photograph of `stored` pixels to the requested width.
 fn reduction(options: &PictureOptions, (width, height): (u32, u32)) -> ImportOptions {
     let longest = |wanted: u32| {
         let height = f64::from(height) * f64::from(wanted) / f64::from(width.max(1));

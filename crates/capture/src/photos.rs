@@ -1,4 +1,4 @@
-//! From a list of named, posed photographs to loaded views; all layouts share this step.
+//! Loads the posed photographs that an importer has listed. All layouts share this step.
 
 use glam::DMat4;
 use rayon::prelude::*;
@@ -17,37 +17,37 @@ use relume_scene::{Camera, ImageRgba, PackedImage};
 pub(super) struct PhotoEntry {
     /// Path of the image in the capture.
     pub image: String,
-    /// Path of a mask, black = not the subject.
+    /// Path of a mask file; black marks pixels that are not of the object.
     pub mask: Option<String>,
     /// Camera-to-world, OpenGL axes, in the world of the [`crate::Capture`].
     pub pose: DMat4,
     /// Intrinsics.
     pub lens: Lens,
-    /// Turn of the light about +Z, degrees counter-clockwise.
+    /// Rotation of the light about +Z, degrees counter-clockwise.
     pub light_rotation_deg: f64,
     /// The file that states pose and lens, for errors.
     pub stated_in: String,
     /// The entry in that file, e.g. `frames[3]`, for errors.
     pub field: String,
-    /// What the set uses it for.
+    /// The set's use of the photograph.
     pub split: Split,
-    /// Ground-truth layers beside it.
+    /// Ground-truth layers in the same folder.
     pub truth: TruthFiles,
 }
 
-/// What a set uses a photograph for.
+/// The use of a photograph.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Split {
-    /// To train on, unless the set names no test views at all.
+    /// Training, unless the set names no test views at all.
     Train,
-    /// Held out by the set itself.
+    /// Evaluation: the set itself holds the photograph out.
     Test,
 }
 
-/// Fewest photographs that make a capture.
+/// Least number of photographs in a capture.
 pub(super) const MIN_IMAGES: usize = 3;
 
-/// Names the listed images that are absent in a warning.
+/// Adds a warning that names the listed images that are absent.
 ///
 /// # Errors
 /// [`CaptureError::TooFewImages`] when fewer than [`MIN_IMAGES`] remain.
@@ -67,7 +67,7 @@ pub(super) fn check_missing(
     }
     if !missing.is_empty() {
         warnings.push(format!(
-            "{file} names {} images that are missing, {usable} remain: {}",
+            "{file} names {} images that are missing; {usable} remain: {}",
             missing.len(),
             name_list(&missing)
         ));
@@ -75,7 +75,8 @@ pub(super) fn check_missing(
     Ok(())
 }
 
-/// The image a `file_path` means: the path as written, or with a file ending or light name added.
+/// The image that a `file_path` refers to: the path as written, or with a file extension or the name of a light
+/// added.
 pub(super) fn locate(source: &CaptureFiles, path: &str) -> Option<String> {
     if source.contains(path) {
         return Some(path.to_owned());
@@ -85,7 +86,8 @@ pub(super) fn locate(source: &CaptureFiles, path: &str) -> Option<String> {
     ENDINGS.iter().map(|e| format!("{path}{e}")).find(|p| source.contains(p))
 }
 
-/// Loads the photographs in parallel, and has `image_checks` look at each. Their order, and which error is returned, depend on the list alone.
+/// Loads the photographs in parallel and passes each to `image_checks`. The order of the views and the error that is
+/// returned depend only on the list.
 ///
 /// # Errors
 /// The first photograph in the list whose image, mask, pose or lens is unusable.
@@ -100,12 +102,12 @@ pub(super) fn load(
     views.into_iter().collect()
 }
 
-/// The sizes to which photographs are reduced, pixels, from their headers: a capture too large for memory is refused before it is
-/// decoded. Every file is read twice, which is cheap compared with decoding it once. Of what cannot be read there is no size;
-/// decoding it returns an error with its name.
+/// The sizes to which photographs are reduced, pixels, from their headers, so that a capture that is too large for
+/// memory is refused before it is decoded. Every file is read twice, which is cheap compared with decoding it once. A
+/// file that cannot be read has no size; decoding it returns an error with its name.
 ///
 /// # Errors
-/// [`CaptureError::OverLimit`] for more pixels together than are allowed.
+/// [`CaptureError::OverLimit`] when the photographs together have more pixels than are allowed.
 pub(super) fn sizes(
     source: &CaptureFiles,
     photos: &[PhotoEntry],
@@ -119,7 +121,7 @@ pub(super) fn sizes(
     let total: u64 = sizes.iter().map(|(w, h)| u64::from(*w) * u64::from(*h)).sum();
     let limit = options.limits.max_total_pixels;
     if total > limit {
-        let reason = format!("{total} pixels in all, {limit} allowed; reduce the resolution");
+        let reason = format!("{total} pixels in total, {limit} allowed; reduce the resolution");
         return Err(CaptureError::over_limit(source.label(), "max_total_pixels", reason));
     }
     Ok(sizes)
@@ -149,7 +151,7 @@ fn load_one(
     Ok(CaptureView { name: photo.image.clone(), camera, image, light_rotation_deg, truth })
 }
 
-/// [`load_photo`] by way of an image that is large enough to be looked at.
+/// [`load_photo`] that first loads an image large enough for `image_checks`, then reduces it.
 fn load_and_check(
     source: &CaptureFiles,
     photo: &PhotoEntry,
@@ -164,7 +166,7 @@ fn load_and_check(
     Ok(Loaded { image: loaded.image.resized(width, height), ..loaded })
 }
 
-/// The photograph alone, without its mask; `straight` removes the lens's distortion.
+/// The photograph without its mask file; `straight` removes the lens distortion.
 ///
 /// # Errors
 /// Names the image, or the file and field of an unusable pose or lens.
@@ -178,7 +180,7 @@ pub(super) fn picture(
     if straight { Ok(undistorted(photo, stored, image)?.1) } else { Ok(image) }
 }
 
-/// An image of a photograph of `stored` pixels without the distortion of its lens, and its camera.
+/// An image of a photograph of `stored` pixels with the lens distortion removed, and its camera.
 fn undistorted(
     photo: &PhotoEntry,
     stored: (u32, u32),
@@ -194,7 +196,7 @@ fn undistorted(
     }
 }
 
-/// The camera of a photograph at its stored size, distortion removed; of the image only the header is read.
+/// The camera of a photograph at its stored size, distortion removed. Only the header of the image is read.
 ///
 /// # Errors
 /// Names the image, or the file and field of an unusable pose or lens.
@@ -214,7 +216,7 @@ pub(super) fn camera_at(photo: &PhotoEntry, stored: (u32, u32)) -> Result<Camera
     }
 }
 
-/// A lens that cannot be made a pinhole.
+/// The error for a lens that cannot be converted to a pinhole.
 fn bent(photo: &PhotoEntry, reason: String) -> CaptureError {
     CaptureError::at_field(&photo.stated_in, format!("{}.k1", photo.field), reason)
 }

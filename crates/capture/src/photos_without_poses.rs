@@ -1,4 +1,4 @@
-//! Photographs without poses: what becomes a capture once poses are found.
+//! Photographs without poses: the input of pose estimation.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,19 +8,19 @@ use rayon::prelude::*;
 use crate::formats::image_file;
 use crate::{CaptureError, CaptureFiles, ImportLimits, import, masks};
 
-/// Endings of photographs that COLMAP reads.
+/// File extensions of photographs that COLMAP reads.
 const ENDINGS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "webp"];
 
-/// The photographs of a folder or an archive that states no poses.
+/// The photographs of a folder or an archive without poses.
 #[derive(Debug)]
 pub struct PhotosWithoutPoses {
     source: CaptureFiles,
-    /// Photographs, each with its mask.
+    /// Photographs, each with its mask file.
     photos: BTreeMap<String, Option<String>>,
 }
 
 impl PhotosWithoutPoses {
-    /// Opens a folder, zip, tar or tar.gz. `None` where a layout with poses is there, or no photograph.
+    /// Opens a folder, zip, tar or tar.gz. `None` if it contains a layout with poses, or no photograph.
     ///
     /// # Errors
     /// [`CaptureError`] when it cannot be opened or is over a limit.
@@ -29,7 +29,7 @@ impl PhotosWithoutPoses {
         Ok(if import::has_layout(&source) { None } else { Self::of(source) })
     }
 
-    /// The photographs of `path`, whether or not poses are stated beside them. `None` where there is none.
+    /// The photographs of `path`, whether or not the files include poses. `None` without photographs.
     ///
     /// # Errors
     /// As [`Self::open`].
@@ -52,7 +52,7 @@ impl PhotosWithoutPoses {
         self.photos.keys().map(String::as_str)
     }
 
-    /// Masks, each with the photograph that it belongs to.
+    /// Mask files, each with its photograph.
     pub(super) fn masks(&self) -> impl Iterator<Item = (&str, &str)> {
         self.photos.iter().filter_map(|(photo, mask)| Some((mask.as_deref()?, photo.as_str())))
     }
@@ -65,10 +65,10 @@ impl PhotosWithoutPoses {
         self.source.read(name)
     }
 
-    /// Whether all photographs have the same width and height: one camera, one lens.
+    /// Whether all photographs have the same width and height, which suggests one camera with one lens.
     ///
     /// # Errors
-    /// [`CaptureError::Image`] names the first that is no image.
+    /// [`CaptureError::Image`] names the first file that is not an image.
     pub(super) fn have_one_size(&self) -> Result<bool, CaptureError> {
         let names: Vec<&str> = self.photos().collect();
         let size = |name: &&str| {
@@ -85,7 +85,7 @@ fn is_photograph(path: &str) -> bool {
     ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str()))
 }
 
-/// True for files of `masks/` and for `NAME_mask.png` beside a photograph called so.
+/// True for files in `masks/` and for `NAME_mask.png` beside a photograph `NAME`.
 fn is_mask(source: &CaptureFiles, path: &str) -> bool {
     let in_folder = path.split('/').rev().skip(1).any(|folder| folder == "masks" || folder == "mask");
     let of = masks::stem(path).strip_suffix("_mask");
@@ -100,7 +100,7 @@ fn is_mask(source: &CaptureFiles, path: &str) -> bool {
 mod tests {
     use super::*;
 
-    /// Names of photographs, and masks with what they are of.
+    /// Names of photographs, and of masks with their photographs.
     type Names = (Vec<String>, Vec<(String, String)>);
 
     fn names(files: &[&str]) -> Option<Names> {
@@ -123,7 +123,7 @@ mod tests {
         assert_eq!(
             photos,
             ["images/a.JPG", "images/b.png", "x_mask.png"],
-            "a mask of nothing is a photograph"
+            "a mask without a photograph counts as a photograph"
         );
         let pair = |a: &str, b: &str| (a.to_owned(), b.to_owned());
         assert_eq!(masks, [pair("masks/a.png", "images/a.JPG"), pair("images/b_mask.png", "images/b.png")]);
@@ -135,6 +135,9 @@ mod tests {
         assert!(names(&["images/a.jpg", "sparse/0/cameras.bin", "sparse/0/images.bin"]).is_none());
         assert!(names(&["images/a.jpg", "poses_bounds.npy"]).is_none());
         assert!(names(&["notes.txt"]).is_none());
-        assert!(names(&["images/a.jpg", "sparse/0/cameras.bin"]).is_some(), "the control: half a model");
+        assert!(
+            names(&["images/a.jpg", "sparse/0/cameras.bin"]).is_some(),
+            "the control: an incomplete model"
+        );
     }
 }

@@ -1,12 +1,12 @@
-//! How sharp a photograph is.
+//! Sharpness of a photograph.
 
 use relume_scene::ImageRgba;
 
-/// Longest side at which photographs are compared, pixels: noise of the sensor does not count as sharpness there.
+/// Longest side at which photographs are compared, pixels. At this size sensor noise does not count as sharpness.
 pub(super) const SIDE: u32 = 800;
 
-/// Variance of the Laplacian of luma, in steps of 8 bit squared. It depends on the subject: compare photographs of one thing, at
-/// one size. 0 for images of fewer than 3 x 3 pixels.
+/// Variance of the Laplacian of luma, in squared 8-bit levels. It depends on the scene: compare only photographs of
+/// the same scene at the same size. 0 for images of fewer than 3 x 3 pixels.
 pub(super) fn sharpness(image: &ImageRgba) -> f64 {
     let (width, height) = (image.width as usize, image.height as usize);
     if width < 3 || height < 3 {
@@ -48,6 +48,6 @@ mod tests {
         let pixels = (0..32 * 32).map(|i| [0, 1, 2, 3].map(|k| mean(i, k))).collect();
         let blurred = ImageRgba { pixels, ..sharp };
         assert!(sharpness(&stripes(4)) > 2.0 * sharpness(&blurred) && sharpness(&blurred) > 0.0);
-        assert_eq!(sharpness(&stripes(64)), 0.0, "nothing to see");
+        assert_eq!(sharpness(&stripes(64)), 0.0, "no contrast");
     }
 }

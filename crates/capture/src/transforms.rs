@@ -18,7 +18,7 @@ pub(super) struct Transforms {
     pub frames: Vec<TransformsFrame>,
     /// Path of a point cloud, if the file names one.
     pub points: Option<String>,
-    /// `file_path`s that the file itself holds out.
+    /// The `file_path`s that the file itself holds out.
     pub held_out: BTreeSet<String>,
 }
 
@@ -29,17 +29,17 @@ pub(super) struct TransformsFrame {
     pub field: String,
     /// `file_path` without a leading `./`.
     pub path: String,
-    /// `mask_path`, likewise.
+    /// `mask_path` without a leading `./`.
     pub mask: Option<String>,
     /// Camera-to-world, OpenGL axes.
     pub pose: DMat4,
     /// Intrinsics: the frame's own fields, else the file's.
     pub lens: Lens,
-    /// Turn of the light about +Z, degrees counter-clockwise; 0 where the frame has none.
+    /// Rotation of the light about +Z, degrees counter-clockwise; 0 if the frame states none.
     pub light_rotation_deg: f64,
 }
 
-/// The intrinsics that both a file and a frame may have; unknown keys (`sharpness`, `rotation`) are ignored.
+/// Intrinsics that both a file and a frame may state. Unknown keys (`sharpness`, `rotation`) are ignored.
 #[derive(Debug, Clone, Default, Deserialize)]
 struct RawLens {
     camera_angle_x: Option<f64>,
@@ -83,7 +83,7 @@ struct RawTransforms {
 /// Reads and checks `file`.
 ///
 /// # Errors
-/// Names the file, and the field where a value is missing or unusable.
+/// Names the file, and the field whose value is missing or unusable.
 pub(super) fn read(source: &CaptureFiles, file: &str) -> Result<Transforms, CaptureError> {
     parse(file, &source.read(file)?, source.limits())
 }
@@ -95,8 +95,9 @@ pub(super) fn read(source: &CaptureFiles, file: &str) -> Result<Transforms, Capt
 pub(super) fn parse(file: &str, bytes: &[u8], limits: &ImportLimits) -> Result<Transforms, CaptureError> {
     let raw: RawTransforms = parse_json(file, bytes)?;
     let bad = |field: String, reason: &str| CaptureError::at_field(file, field, reason);
-    let inside =
-        |field: String, path: &str| relative(path).ok_or_else(|| bad(field, "leads out of the capture"));
+    let inside = |field: String, path: &str| {
+        relative(path).ok_or_else(|| bad(field, "must be a path inside the capture"))
+    };
     let frames = raw.frames.ok_or_else(|| bad("frames".into(), "is missing"))?;
     if frames.len() > limits.max_images {
         let reason = format!("{} frames, {} allowed", frames.len(), limits.max_images);
@@ -123,7 +124,7 @@ pub(super) fn parse(file: &str, bytes: &[u8], limits: &ImportLimits) -> Result<T
     Ok(Transforms { file: file.to_owned(), frames, points: points.transpose()?, held_out })
 }
 
-/// A path inside the capture, `/` between parts; `None` when it leads out.
+/// A path inside the capture, `/` between parts; `None` if it leaves the capture.
 pub(super) fn relative(path: &str) -> Option<String> {
     let path = path.replace('\\', "/");
     let mut parts = Vec::new();
@@ -151,7 +152,7 @@ fn matrix(rows: &[Vec<f64>]) -> Option<DMat4> {
 }
 
 impl RawLens {
-    /// Each field of this one, else of `shared`.
+    /// Each field of `self`, or that of `shared` where `self` has none.
     fn or(&self, shared: &Self) -> Self {
         macro_rules! each {
             ($($field:ident)*) => {
@@ -179,7 +180,7 @@ fn lens(raw: &RawLens) -> Result<Lens, (&'static str, String)> {
         Some(other) => {
             return Err((
                 "camera_model",
-                format!("{other:?} is not supported; OPENCV and OPENCV_FISHEYE are"),
+                format!("{other:?} is not supported; use OPENCV or OPENCV_FISHEYE"),
             ));
         }
     };

@@ -15,13 +15,13 @@ use relume_scene::{EnvMap, ImageRgba, Plane};
 /// Depth images store `value / 65535 * DEPTH_RANGE` capture units along the view axis.
 pub(super) const DEPTH_RANGE: f32 = 10.0;
 
-/// What `scene.json` says about the layers beside it; TensoIR's own sets have no such file.
+/// The description of the layers in `scene.json`. TensoIR's own sets have no such file.
 #[derive(Debug, Clone, Default, Deserialize)]
 struct SceneFile {
     albedo_png: Option<String>,
 }
 
-/// Layers found beside one image, by path.
+/// Paths of the layers of one image.
 #[derive(Debug, Clone, Default)]
 pub(super) struct TruthFiles {
     relit: BTreeMap<String, String>,
@@ -30,7 +30,7 @@ pub(super) struct TruthFiles {
     albedo: AlbedoEncoding,
 }
 
-/// How a set's albedo images store colour.
+/// Colour encoding of a set's albedo images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) enum AlbedoEncoding {
     /// Linear Rec.709.
@@ -54,7 +54,7 @@ pub(super) fn albedo_encoding(source: &CaptureFiles) -> Result<AlbedoEncoding, C
 }
 
 impl TruthFiles {
-    /// Finds the layers, and the view under other lights, in the folder of `image` (like `test_003/rgba.png`).
+    /// Finds the layers, and the view under other lights, in the folder of `image` (e.g. `test_003/rgba.png`).
     pub(super) fn beside(source: &CaptureFiles, image: &str, albedo: AlbedoEncoding) -> Self {
         let Some((folder, own_name)) = image.rsplit_once('/') else { return Self::default() };
         if !own_name.starts_with("rgba") {
@@ -115,7 +115,7 @@ impl TruthFiles {
         Ok(truth)
     }
 
-    /// The stored layer `name`, when the set has it and its shape fits the view's.
+    /// The stored layer `name`, if the set has it.
     fn layer(
         &self,
         source: &CaptureFiles,
@@ -150,8 +150,8 @@ fn check_shape(path: &str, layer: (u32, u32), view: (u32, u32)) -> Result<(), Ca
     Err(CaptureError::image(path, reason))
 }
 
-/// The mean over the covered pixels under each new pixel; zero where none is covered. `value` returns a
-/// pixel's value and coverage.
+/// The mean over the covered pixels under each new pixel; zero where no pixel is covered. `value` returns a pixel's
+/// value and coverage.
 fn reduced<const C: usize>(
     image: &ImageRgba,
     (width, height): (u32, u32),
@@ -172,8 +172,8 @@ fn reduced<const C: usize>(
     out
 }
 
-/// The maps of the lights that the views' ground truth names, from the capture or from beside its folder.
-/// A light without a map is named in `warnings`.
+/// The maps of the lights that the views' ground truth names, from the capture or from folders around it. A light
+/// without a map adds a warning.
 ///
 /// # Errors
 /// Names the map that cannot be read or decoded.
@@ -186,7 +186,7 @@ pub(super) fn lights(
     let mut lights = BTreeMap::new();
     for name in names {
         let Some((path, bytes)) = light_file(source, name)? else {
-            warnings.push(format!("no environment map was found for the ground truth under light {name:?}"));
+            warnings.push(format!("no environment map was found for light {name:?} of the ground truth"));
             continue;
         };
         let loaded = environment::decode(&bytes).map_err(|e| CaptureError::image(&path, e))?;

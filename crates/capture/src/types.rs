@@ -1,4 +1,4 @@
-//! What every importer produces.
+//! The result of every importer.
 
 use std::collections::BTreeMap;
 
@@ -13,13 +13,13 @@ pub struct GroundTruthView {
     pub relit: BTreeMap<String, ImageRgba>,
     /// Base colour, **linear** Rec.709 (importers decode sRGB-encoded albedo).
     pub albedo: Option<Plane<3>>,
-    /// World-space unit shading normal; zero where no surface is.
+    /// World-space unit shading normal; zero without a surface.
     pub normal: Option<Plane<3>>,
     /// Metalness and roughness, linear.
     pub metallic_roughness: Option<Plane<2>>,
     /// Cosine-weighted sky visibility in [0, 1].
     pub ambient_occlusion: Option<Plane<1>>,
-    /// Distance along the view axis, capture units; 0 where no surface is.
+    /// Distance along the view axis, capture units; 0 without a surface.
     pub depth: Option<Plane<1>>,
 }
 
@@ -30,10 +30,10 @@ pub struct CaptureView {
     pub name: String,
     /// Pose and intrinsics at the image's resolution, distortion already removed.
     pub camera: Camera,
-    /// The photograph, 3 or 4 bytes a pixel where its file has 8 bits a channel.
+    /// The photograph: 3 or 4 bytes a pixel if its file has 8 bits a channel.
     pub image: PackedImage,
-    /// Turn of the light about +Z against the other photographs, degrees counter-clockwise seen from above; 0 where the
-    /// light stood still.
+    /// Rotation of the light about +Z relative to the other photographs, degrees counter-clockwise seen from above; 0
+    /// if the light did not move.
     pub light_rotation_deg: f64,
     /// Ground-truth layers, when the set has them.
     pub truth: GroundTruthView,
@@ -48,26 +48,26 @@ pub struct SceneBounds {
     pub radius: f64,
 }
 
-/// A capture ready to train on: +Z up, OpenCV cameras, no distortion left.
+/// A capture ready for training: +Z up, OpenCV cameras, no distortion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Capture {
-    /// What was recognised: `nerf-synthetic`, `tensoir`, `nerfstudio`, `colmap`, `llff`, `synthetic`.
+    /// The recognised layout: `nerf-synthetic`, `tensoir`, `nerfstudio`, `colmap`, `llff`, `synthetic`.
     pub layout: String,
-    /// Views to train on.
+    /// Training views.
     pub train: Vec<CaptureView>,
     /// Held-out views.
     pub test: Vec<CaptureView>,
     /// Sparse points with linear Rec.709 colours, when the capture has them.
     pub points: Vec<(DVec3, [f32; 3])>,
-    /// Position and size of the subject.
+    /// Position and size of the object.
     pub bounds: SceneBounds,
     /// True when the images' alpha channel is a mask.
     pub has_alpha: bool,
-    /// Lights named in the ground truth, when found beside the capture.
+    /// Environment maps of the lights that the ground truth names, if found.
     pub lights: BTreeMap<String, EnvMap>,
-    /// The light of the photographs, where it was measured; no importer sets it.
+    /// The measured light of the photographs; no importer sets it.
     pub measured_light: Option<EnvMap>,
-    /// Linear Rec.709 colour of a grey card in the photographs, where one was measured; no importer sets it.
+    /// Measured colour of a grey card in the photographs, linear Rec.709; no importer sets it.
     pub grey_card: Option<[f32; 3]>,
     /// Problems that did not stop the import, e.g. missing images by name.
     pub warnings: Vec<String>,

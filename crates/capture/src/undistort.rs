@@ -1,22 +1,22 @@
-//! Distorted photographs to pinhole photographs of the same size.
+//! Converts distorted photographs to pinhole photographs of the same size.
 //!
-//! The pinhole camera shows the largest axis-aligned window that lies completely inside the photograph. So every
-//! new pixel has a source, and no alpha has to be made up.
+//! The pinhole camera shows the largest axis-aligned window that lies completely inside the photograph. Every new
+//! pixel therefore has a source, and no alpha is invented.
 
 use glam::{DMat2, DVec2};
 
 use crate::lens::Distortion;
 use relume_scene::{Camera, ImageRgba};
 
-/// Largest distance of a window's edge from the axis, in units of depth (62 degrees). In a wider window most
-/// pixels of a perspective image would show its outermost degrees.
+/// Largest distance of a window's edge from the axis, in units of depth (62 degrees). In a wider window most pixels
+/// of a perspective image would show its outermost degrees.
 const MAX_REACH: f64 = 1.9;
 
 /// Image points sampled along each side of the photograph.
 const SIDE_SAMPLES: usize = 65;
 
 impl Distortion {
-    /// Where the lens puts a ray that a pinhole would put at `p` (both on the plane of depth 1).
+    /// The point at which the lens images a ray that a pinhole would image at `p` (both on the plane of depth 1).
     pub fn distort(&self, p: DVec2) -> DVec2 {
         let r2 = p.length_squared();
         match self {
@@ -82,16 +82,16 @@ fn undistort_fisheye(k: &[f64; 4], distorted: DVec2) -> Option<DVec2> {
     if !theta.is_finite() || (distorted_radius(k, theta) - radius).abs() > 1e-8 {
         return None;
     }
-    // Directions at 90 degrees and more do not meet the plane of depth 1; any point far outside the window will do.
+    // Directions at 90 degrees and more do not meet the plane of depth 1; any point far outside the window serves.
     let reach = if theta < 1.56 { theta.tan() } else { 1e2 };
     Some(distorted * (reach / radius))
 }
 
-/// The pinhole camera and image for a distorted one; `camera` has the distorted image's focal lengths and
-/// principal point.
+/// The pinhole camera and image for a distorted one. `camera` has the distorted image's focal lengths and principal
+/// point.
 ///
 /// # Errors
-/// The reason, when the coefficients fold the image over or leave no window.
+/// The reason, if the coefficients fold the image over itself or leave no window.
 pub(super) fn undistort(
     camera: &Camera,
     lens: &Distortion,
@@ -132,7 +132,7 @@ fn inner_window(camera: &Camera, lens: &Distortion) -> Result<(DVec2, DVec2), St
     let undistorted = |x: f64, y: f64| {
         let distorted = DVec2::new((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy);
         lens.undistort(distorted)
-            .ok_or_else(|| "these coefficients cannot be undone over the image".to_owned())
+            .ok_or_else(|| "these coefficients cannot be inverted over the whole image".to_owned())
     };
     let mut low = DVec2::splat(-MAX_REACH);
     let mut high = DVec2::splat(MAX_REACH);
@@ -144,12 +144,12 @@ fn inner_window(camera: &Camera, lens: &Distortion) -> Result<(DVec2, DVec2), St
         high.y = high.y.min(undistorted(t * w, h)?.y);
     }
     if !(high - low).cmpgt(DVec2::splat(1e-6)).all() {
-        return Err("these coefficients leave nothing of the image".to_owned());
+        return Err("these coefficients leave no usable part of the image".to_owned());
     }
     Ok((low, high))
 }
 
-/// Refuses a lens that folds the image over or that needs pixels more than one pixel outside it.
+/// Refuses a lens that folds the image over itself or that needs pixels more than one pixel outside it.
 fn check_window(camera: &Camera, lens: &Distortion, (low, high): (DVec2, DVec2)) -> Result<(), String> {
     const GRID: usize = 16;
     let limit = DVec2::new(f64::from(camera.width), f64::from(camera.height)) + 1.0;
@@ -159,7 +159,7 @@ fn check_window(camera: &Camera, lens: &Distortion, (low, high): (DVec2, DVec2))
         let pixel = to_pixel(camera, lens.distort(p));
         let inside = pixel.cmpge(DVec2::splat(-1.0)).all() && pixel.cmple(limit).all();
         if !inside || lens.jacobian(p).determinant() <= 0.0 {
-            return Err("these coefficients fold the image over".to_owned());
+            return Err("these coefficients fold the image over itself".to_owned());
         }
     }
     Ok(())
@@ -208,7 +208,7 @@ mod tests {
         Camera { fx: 80.0, fy: 82.0, cx: 46.0, cy: 33.5, ..pose }
     }
 
-    /// An image whose red and green tell the pixel position.
+    /// An image whose red and green encode the pixel position.
     fn coordinates() -> ImageRgba {
         let pixel = |i: u32| [(i % 96) as f32 / 100.0, (i / 96) as f32 / 100.0, 0.5, 1.0];
         ImageRgba { width: 96, height: 64, pixels: (0..96 * 64).map(pixel).collect() }
@@ -225,7 +225,8 @@ mod tests {
         }
     }
 
-    /// Largest difference between where a lens sees a point and what the straightened image shows there.
+    /// Largest distance between the pixel at which a lens images a point and the one that the undistorted image shows
+    /// there.
     fn error(lens: &Distortion, truth: &Distortion) -> f64 {
         let distorted = camera();
         let (undistorted, image) = undistort(&distorted, lens, &coordinates()).unwrap();

@@ -13,8 +13,7 @@ use crate::{Capture, CaptureError, CaptureView, GroundTruthView};
 use relume_scene::srgb;
 use relume_scene::{PackedImage, Plane};
 
-/// Writes images as 8-bit PNG, depth as 16-bit PNG, lights as Radiance files. The same capture gives the same
-/// bytes.
+/// Writes images as 8-bit PNG, depth as 16-bit PNG, lights as Radiance files. Equal captures give equal bytes.
 ///
 /// # Errors
 /// [`CaptureError`] names the entry that cannot be written, e.g. for an image without pixels.
@@ -43,7 +42,7 @@ pub fn write_archive(capture: &Capture) -> Result<Vec<u8>, CaptureError> {
     archive.finish()
 }
 
-/// The set's JSON. Each frame has its intrinsics; the shared field of view is there for other readers.
+/// The set's JSON. Each frame has its intrinsics; the shared field of view is for other readers.
 fn transforms(split: &str, views: &[CaptureView]) -> serde_json::Value {
     let frame = |(i, view): (usize, &CaptureView)| {
         let c = &view.camera;
@@ -74,7 +73,7 @@ impl Archive {
         self.file(name, value.to_string().as_bytes(), CompressionMethod::Deflated)
     }
 
-    /// An image; PNG is compressed already.
+    /// Writes an image uncompressed, since PNG is already compressed.
     fn png(&mut self, name: &str, bytes: Result<Vec<u8>, ImageFileError>) -> Result<(), CaptureError> {
         self.file(name, &bytes.map_err(|e| broken(name, e))?, CompressionMethod::Stored)
     }
@@ -184,7 +183,7 @@ mod tests {
             let (x, y) = (a.depth.as_ref().unwrap(), b.depth.as_ref().unwrap());
             assert!(apart(&x.values, &y.values) < 1e-4);
         }
-        // The comparison can fail: two different views are far apart.
+        // The comparison can fail: two different views differ strongly.
         assert!(apart(&capture.train[0].image.decoded().pixels, &back.train[1].image.decoded().pixels) > 0.1);
     }
 }

@@ -17,10 +17,10 @@ use relume_api::{CaptureId, List};
 use relume_spec::CaptureReport;
 
 impl Client {
-    /// Uploads a zip, tar or tar.gz, streaming it from disk.
+    /// Uploads a zip, tar or tar.gz, streamed from disk.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn upload_capture(&self, archive: &Path) -> Result<CaptureSummary> {
         let file = tokio::fs::File::open(archive).await?;
         let length = file.metadata().await?.len();
@@ -31,15 +31,15 @@ impl Client {
     /// Uploads an archive from memory.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn upload_capture_bytes(&self, archive: impl Into<Bytes>) -> Result<CaptureSummary> {
         self.post_archive("/v1/captures", archive.into().into(), None).await
     }
 
-    /// Asks what an upload would say, without keeping anything.
+    /// Validates an archive as an upload would, without storing it.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn validate_capture_bytes(&self, archive: impl Into<Bytes>) -> Result<CaptureReport> {
         self.post_archive("/v1/captures/validate", archive.into().into(), None).await
     }
@@ -61,15 +61,15 @@ impl Client {
     /// A capture.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn capture(&self, id: &CaptureId) -> Result<CaptureSummary> {
         json(self.request(Method::GET, &format!("/v1/captures/{id}"))?).await
     }
 
-    /// From where a capture's photographs were taken.
+    /// The cameras of a capture's photographs.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn capture_cameras(
         &self,
         id: &CaptureId,
@@ -79,10 +79,10 @@ impl Client {
         json(self.request(Method::GET, &path)?).await
     }
 
-    /// A capture's photographs, each with its camera and what the validation found in it.
+    /// A capture's photographs, each with its camera and the findings of the validation.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn capture_photographs(
         &self,
         id: &CaptureId,
@@ -95,25 +95,25 @@ impl Client {
     /// A photograph of a capture as a JPEG; `query` as in the API, e.g. `width=320&undistorted=true`.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn capture_photograph(&self, photograph: &CapturedPhotograph, query: &str) -> Result<Bytes> {
         let request = self.request(Method::GET, &format!("{}?{query}", photograph.href))?;
         Ok(checked(request).await?.bytes().await?)
     }
 
-    /// What COLMAP said while it found the poses of a capture's photographs; nothing of captures that came with poses.
+    /// COLMAP's log of the poses of a capture's photographs; empty for captures that were uploaded with poses.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn capture_log(&self, id: &CaptureId) -> Result<String> {
         let request = self.request(Method::GET, &format!("/v1/captures/{id}/log"))?;
         Ok(checked(request).await?.text().await?)
     }
 
-    /// Changes what a capture is called.
+    /// Changes the metadata of a capture.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn change_capture(&self, id: &CaptureId, change: &MetadataChange) -> Result<CaptureSummary> {
         json(self.request(Method::PATCH, &format!("/v1/captures/{id}"))?.json(change)).await
     }
@@ -121,7 +121,7 @@ impl Client {
     /// The newest captures.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn captures(&self) -> Result<List<CaptureSummary>> {
         json(self.request(Method::GET, "/v1/captures")?).await
     }

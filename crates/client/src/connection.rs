@@ -1,4 +1,4 @@
-//! Requests to one server and its answers.
+//! Requests to one server and its responses.
 
 use std::time::Duration;
 
@@ -20,10 +20,10 @@ impl Client {
     /// A client of the server at `base`, e.g. `http://127.0.0.1:7878`.
     ///
     /// # Errors
-    /// When `base` is no URL.
+    /// If `base` is not a URL.
     pub fn new(base: &str, key: Option<String>) -> Result<Self> {
         let base = Url::parse(base).map_err(|e| ClientError::Address(e.to_string()))?;
-        // For `https://`. Another provider of the process is as good.
+        // TLS provider for `https://`. A provider that the process has already installed is also suitable.
         tokio_rustls::rustls::crypto::ring::default_provider().install_default().ok();
         let http = reqwest::Client::builder().redirect(Policy::custom(follow));
         let http = http.connect_timeout(Duration::from_secs(10)).build()?;
@@ -35,10 +35,10 @@ impl Client {
         &self.base
     }
 
-    /// A request to `path`, with the key; for what has no method here.
+    /// A request to `path` with the API key, for endpoints without a method here.
     ///
     /// # Errors
-    /// When `path` does not make a URL.
+    /// If `path` does not give a valid URL.
     pub fn request(&self, method: Method, path: &str) -> Result<RequestBuilder> {
         let url = self.base.join(path).map_err(|e| ClientError::Address(e.to_string()))?;
         let request = self.http.request(method, url);
@@ -49,7 +49,8 @@ impl Client {
     }
 }
 
-/// A server may have moved. Where one sends its caller for a file, that goes without the key (`Download`).
+/// Redirects of the API are followed with the key. A redirect to a file in an object store is not: `Download`
+/// requests the file without the key.
 fn follow(attempt: Attempt<'_>) -> Action {
     match attempt.status() {
         StatusCode::TEMPORARY_REDIRECT => attempt.stop(),
@@ -57,12 +58,12 @@ fn follow(attempt: Attempt<'_>) -> Action {
     }
 }
 
-/// The answer to a request; a refusal becomes an error.
+/// The response to a request; a refusal becomes an error.
 pub(super) async fn checked(request: RequestBuilder) -> Result<Response> {
     accepted(request.send().await?).await
 }
 
-/// An answer that is no refusal.
+/// The response, if it is not a refusal.
 pub(super) async fn accepted(response: Response) -> Result<Response> {
     if response.status().is_success() {
         return Ok(response);
@@ -71,11 +72,11 @@ pub(super) async fn accepted(response: Response) -> Result<Response> {
     let body = response.bytes().await?;
     Err(match serde_json::from_slice(&body) {
         Ok(problem) => ClientError::Problem(Box::new(problem)),
-        Err(_) => ClientError::Unexpected(format!("status {status} without a problem")),
+        Err(_) => ClientError::Unexpected(format!("status {status} without a problem document")),
     })
 }
 
-/// The answer to a request, read as JSON.
+/// The response to a request, parsed as JSON.
 pub(super) async fn json<T: DeserializeOwned>(request: RequestBuilder) -> Result<T> {
     let body = checked(request).await?.bytes().await?;
     serde_json::from_slice(&body).map_err(|e| ClientError::Unexpected(e.to_string()))

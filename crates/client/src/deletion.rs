@@ -7,34 +7,34 @@ use crate::error::Result;
 use relume_api::{CaptureId, EnvironmentId, JobId, ModelId};
 
 impl Client {
-    /// Deletes a capture; with `cascade` also the jobs that need it.
+    /// Deletes a capture; with `cascade` also the jobs that use it.
     ///
     /// # Errors
-    /// The server's refusal, which names what needs it, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused and names the jobs that use it, or the request failed.
     pub async fn delete_capture(&self, id: &CaptureId, cascade: bool) -> Result<()> {
         self.delete(&format!("/v1/captures/{id}"), cascade).await
     }
 
-    /// Deletes an environment map; with `cascade` also the jobs that need it.
+    /// Deletes an environment map; with `cascade` also the jobs that use it.
     ///
     /// # Errors
-    /// The server's refusal, which names what needs it, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused and names the jobs that use it, or the request failed.
     pub async fn delete_environment(&self, id: &EnvironmentId, cascade: bool) -> Result<()> {
         self.delete(&format!("/v1/environments/{id}"), cascade).await
     }
 
-    /// Deletes a job; with `cascade` also one that runs, which is cancelled. Its model stays.
+    /// Deletes a job. With `cascade` a running job is cancelled and deleted. The job's model is kept.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn delete_job(&self, id: &JobId, cascade: bool) -> Result<()> {
         self.delete(&format!("/v1/jobs/{id}"), cascade).await
     }
 
-    /// Deletes a model. Its job stays.
+    /// Deletes a model. Its job is kept.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn delete_model(&self, id: &ModelId) -> Result<()> {
         self.delete(&format!("/v1/models/{id}"), false).await
     }

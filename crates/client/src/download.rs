@@ -1,4 +1,4 @@
-//! Files, which a server sends or has an object store send.
+//! Downloads files from the server, or from the object store to which it redirects.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use tokio_util::bytes::Bytes;
 use crate::connection::accepted;
 use crate::error::{ClientError, Result};
 
-/// A file on its way.
+/// A started download.
 #[derive(Debug)]
 pub struct Download {
     answer: Response,
@@ -19,7 +19,7 @@ pub struct Download {
 }
 
 impl Download {
-    /// Asks for a file.
+    /// Requests a file.
     pub(super) async fn begin(request: RequestBuilder) -> Result<Self> {
         let (http, request) = request.build_split();
         let answer = http.execute(request?).await?;
@@ -27,24 +27,24 @@ impl Download {
         Ok(Self { answer: if is_elsewhere { answer } else { accepted(answer).await? }, http })
     }
 
-    /// Hash of the whole file, lower-case hex; empty where the server does not know it.
+    /// SHA-256 of the complete file, lower-case hex; empty if the server does not know it.
     pub fn sha256(&self) -> String {
         let etag = self.answer.headers().get(ETAG).and_then(|value| value.to_str().ok());
         etag.unwrap_or_default().trim_matches('"').to_owned()
     }
 
-    /// The file.
+    /// The contents of the file as a stream.
     ///
     /// # Errors
-    /// When the object store that has it does not send it.
+    /// If the object store does not send the file.
     pub async fn bytes(self) -> Result<impl Stream<Item = reqwest::Result<Bytes>>> {
         Ok(self.followed().await?.bytes_stream())
     }
 
-    /// The whole file, in memory.
+    /// The complete file in memory.
     ///
     /// # Errors
-    /// What failed on the way.
+    /// [`ClientError`]: the download failed.
     pub async fn whole(self) -> Result<Bytes> {
         Ok(self.followed().await?.bytes().await?)
     }
@@ -59,14 +59,16 @@ impl Download {
         Ok(file.sync_all().await?)
     }
 
-    /// The answer with the file. Nobody but the server is told the key, and nobody the URL that lets its holder in.
+    /// The response with the file. The API key is sent only to the server, and errors do not contain the signed URL
+    /// of an object store.
     async fn followed(self) -> Result<Response> {
         if self.answer.status() != StatusCode::TEMPORARY_REDIRECT {
             return Ok(self.answer);
         }
         let location = self.answer.headers().get(LOCATION).and_then(|value| value.to_str().ok());
         let there = location.and_then(|to| self.answer.url().join(to).ok());
-        let there = there.ok_or_else(|| ClientError::Unexpected("a redirect to no address".to_owned()))?;
+        let there =
+            there.ok_or_else(|| ClientError::Unexpected("a redirect without a valid address".to_owned()))?;
         let answer = self.http.get(there).send().await.and_then(Response::error_for_status);
         answer.map_err(|error| error.without_url().into())
     }

@@ -14,16 +14,16 @@ impl Client {
     /// Uploads an HDR environment map.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn upload_environment(&self, file: impl Into<Bytes>) -> Result<EnvironmentView> {
         let request = self.request(Method::POST, "/v1/environments")?;
         json(request.header(CONTENT_TYPE, "application/octet-stream").body(file.into())).await
     }
 
-    /// Changes what an environment map is called.
+    /// Changes the metadata of an environment map.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn change_environment(
         &self,
         id: &EnvironmentId,
@@ -35,7 +35,7 @@ impl Client {
     /// Built-in and uploaded environment maps.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn environments(&self) -> Result<EnvironmentList> {
         json(self.request(Method::GET, "/v1/environments")?).await
     }

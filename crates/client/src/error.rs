@@ -1,29 +1,29 @@
-//! Why a call of the client failed.
+//! Errors of the client.
 
 use relume_api::Problem;
 
-/// Why a call failed.
+/// Errors of the client.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// The server refused; the problem says why.
+    /// The server refused the request; the problem states the reason.
     #[error("{}: {} ({})", .0.title, .0.detail.as_deref().unwrap_or_default(), .0.status)]
     Problem(Box<Problem>),
-    /// The server could not be reached or broke off.
+    /// The server could not be reached, or the connection broke.
     #[error("transport: {0}")]
     Transport(#[from] reqwest::Error),
-    /// The answer was not what the API promises.
-    #[error("unexpected answer: {0}")]
+    /// The response does not follow the API.
+    #[error("unexpected response: {0}")]
     Unexpected(String),
-    /// The server's address is no URL.
+    /// The server's address is not a URL.
     #[error("address: {0}")]
     Address(String),
-    /// A local file failed.
+    /// A local file could not be read or written.
     #[error("file: {0}")]
     File(#[from] std::io::Error),
 }
 
 impl ClientError {
-    /// The problem, when the server refused.
+    /// The problem, if the server refused the request.
     pub fn problem(&self) -> Option<&Problem> {
         match self {
             Self::Problem(problem) => Some(problem),

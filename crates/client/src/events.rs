@@ -10,15 +10,15 @@ use crate::error::ClientError;
 /// One event of a job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobEvent {
-    /// Its number; numbers only grow.
+    /// The event's number; numbers increase within a job.
     pub seq: i64,
     /// `state`, `progress`, `checkpoint` or `warning`.
     pub kind: String,
-    /// What it says.
+    /// The event's data.
     pub data: Value,
 }
 
-/// Events from the bytes of a stream.
+/// Parses events from the bytes of a stream.
 pub(super) fn parse<E: std::error::Error + Send + Sync + 'static>(
     bytes: impl Stream<Item = Result<Bytes, E>>,
 ) -> impl Stream<Item = Result<JobEvent, ClientError>> {
@@ -27,11 +27,14 @@ pub(super) fn parse<E: std::error::Error + Send + Sync + 'static>(
         .try_filter_map(|block| std::future::ready(event(block)))
 }
 
-/// The event in a block; a block without data, e.g. one of comments, has none.
+/// The event in a block; `None` for a block without data, e.g. a comment.
 fn event(block: Sse) -> Result<Option<JobEvent>, ClientError> {
     let unexpected = |what: &str| ClientError::Unexpected(format!("event: {what}"));
     let Some(data) = block.data else { return Ok(None) };
-    let seq = block.id.and_then(|id| id.parse().ok()).ok_or_else(|| unexpected("has no number"))?;
+    let seq = block
+        .id
+        .and_then(|id| id.parse().ok())
+        .ok_or_else(|| unexpected("the id is missing or not a number"))?;
     let data = serde_json::from_str(&data).map_err(|e| unexpected(&e.to_string()))?;
     Ok(Some(JobEvent { seq, kind: block.event.unwrap_or_else(|| "message".to_owned()), data }))
 }

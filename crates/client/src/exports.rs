@@ -1,4 +1,4 @@
-//! Exports: files that the server makes of models in the background.
+//! Exports: files that the server creates from models in the background.
 
 use std::path::Path;
 use std::time::Duration;
@@ -12,14 +12,14 @@ use crate::error::Result;
 use relume_api::exports::{ExportView, NewExport};
 use relume_api::{ExportId, List, ModelId};
 
-/// Time between two looks at an export that is waited for.
+/// Interval between polls of an export.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
 impl Client {
-    /// Queues an export of a model; the same key with the same export queues one.
+    /// Queues an export of a model. Repeating the request with the same idempotency key queues it only once.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn create_export(
         &self,
         model: &ModelId,
@@ -37,7 +37,7 @@ impl Client {
     /// An export.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn export(&self, id: &ExportId) -> Result<ExportView> {
         json(self.request(Method::GET, &format!("/v1/exports/{id}"))?).await
     }
@@ -45,16 +45,16 @@ impl Client {
     /// The newest exports, of one model or of all.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn exports(&self, model: Option<&ModelId>) -> Result<List<ExportView>> {
         let query = model.map_or_else(String::new, |model| format!("?model={model}"));
         json(self.request(Method::GET, &format!("/v1/exports{query}"))?).await
     }
 
-    /// Waits until an export has ended, however it does; `on_progress` is told each time the server was asked.
+    /// Waits until an export has succeeded, failed or been cancelled; `on_progress` is called after each poll.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn wait_for_export(
         &self,
         id: &ExportId,
@@ -70,10 +70,10 @@ impl Client {
         }
     }
 
-    /// The file of an export, in memory.
+    /// The file of an export in memory.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn export_file(&self, id: &ExportId) -> Result<Bytes> {
         Download::begin(self.request(Method::GET, &format!("/v1/exports/{id}/file"))?).await?.whole().await
     }
@@ -81,16 +81,16 @@ impl Client {
     /// Downloads the file of an export to `path`.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way; an incomplete file may then be at `path`.
+    /// [`crate::ClientError`]: the server refused the request, or it failed; an incomplete file may remain at `path`.
     pub async fn download_export(&self, id: &ExportId, path: &Path) -> Result<()> {
         let request = self.request(Method::GET, &format!("/v1/exports/{id}/file"))?;
         Download::begin(request).await?.save(path).await
     }
 
-    /// Cancels an export that waits or runs; deletes one that has ended.
+    /// Cancels a queued or running export; deletes a completed one.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn delete_export(&self, id: &ExportId) -> Result<()> {
         checked(self.request(Method::DELETE, &format!("/v1/exports/{id}"))?).await.map(drop)
     }

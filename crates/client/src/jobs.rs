@@ -12,14 +12,14 @@ use crate::events::{self, JobEvent};
 use relume_api::jobs::{JobChange, JobView, NewJob};
 use relume_api::{JobId, List};
 
-/// Most tries to reach a server that went away while a job is waited for, one second apart.
+/// Greatest number of attempts to reconnect while waiting for a job, one second apart.
 const MAX_CONNECT_ATTEMPTS: u32 = 60;
 
 impl Client {
-    /// Queues a training; the same key with the same job queues one.
+    /// Queues a training. Repeating the request with the same idempotency key queues it only once.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn create_job(&self, job: &NewJob, idempotency_key: Option<&str>) -> Result<JobView> {
         let request = self.request(Method::POST, "/v1/jobs")?.json(job);
         json(match idempotency_key {
@@ -32,7 +32,7 @@ impl Client {
     /// A job.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn job(&self, id: &JobId) -> Result<JobView> {
         json(self.request(Method::GET, &format!("/v1/jobs/{id}"))?).await
     }
@@ -40,15 +40,16 @@ impl Client {
     /// The newest jobs.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn jobs(&self) -> Result<List<JobView>> {
         json(self.request(Method::GET, "/v1/jobs")?).await
     }
 
-    /// How a training looks now, a PNG of `size` pixels a side, 16 to 1024; of a job with a model, that model's thumbnail.
+    /// The current preview of a training: a PNG of `size` pixels per side, 16 to 1024. For a job with a model, the
+    /// model's thumbnail.
     ///
     /// # Errors
-    /// The server's refusal, e.g. as long as there is no picture, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, e.g. because there is no preview yet, or it failed.
     pub async fn job_preview(&self, id: &JobId, size: u32) -> Result<Bytes> {
         let request = self.request(Method::GET, &format!("/v1/jobs/{id}/preview?size={size}"))?;
         Ok(checked(request).await?.bytes().await?)
@@ -57,40 +58,40 @@ impl Client {
     /// Cancels a job.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn cancel_job(&self, id: &JobId) -> Result<JobView> {
         json(self.request(Method::POST, &format!("/v1/jobs/{id}/cancel"))?).await
     }
 
-    /// Runs a failed or cancelled job again, as a new one.
+    /// Runs a failed or cancelled job again, as a new job.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn retry_job(&self, id: &JobId) -> Result<JobView> {
         json(self.request(Method::POST, &format!("/v1/jobs/{id}/retry"))?).await
     }
 
-    /// Changes the priority of a waiting job.
+    /// Changes the priority of a queued job.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn set_priority(&self, id: &JobId, priority: i64) -> Result<JobView> {
         let request = self.request(Method::PATCH, &format!("/v1/jobs/{id}"))?;
         json(request.json(&JobChange { priority: Some(priority), ..JobChange::default() })).await
     }
 
-    /// Changes what a job is called, or its priority.
+    /// Changes the metadata or the priority of a job.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn change_job(&self, id: &JobId, change: &JobChange) -> Result<JobView> {
         json(self.request(Method::PATCH, &format!("/v1/jobs/{id}"))?.json(change)).await
     }
 
-    /// A job's events above number `after`, then those that happen, until the job or the connection ends.
+    /// A job's events with numbers above `after`, then new ones, until the job or the connection ends.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn events(
         &self,
         job: &JobId,
@@ -101,10 +102,10 @@ impl Client {
         Ok(events::parse(response.bytes_stream()))
     }
 
-    /// Follows a job to its end, also across restarts of the server; every event is passed on once.
+    /// Follows a job to its end, also across restarts of the server. Every event is passed on exactly once.
     ///
     /// # Errors
-    /// The server's refusal, or that it could not be reached for a minute.
+    /// [`ClientError`]: the server refused a request, or was unreachable for a minute.
     pub async fn wait(&self, job: &JobId, mut on_event: impl FnMut(&JobEvent)) -> Result<JobView> {
         let (mut last, mut failures) = (0, 0);
         loop {
@@ -113,7 +114,7 @@ impl Client {
                 Ok(Some(view)) => return Ok(view),
                 Ok(None) => failures = 0,
                 Err(ClientError::Transport(error)) if failures < MAX_CONNECT_ATTEMPTS => {
-                    tracing::debug!(%error, "the server is away");
+                    tracing::debug!(%error, "the server is unreachable");
                     failures += 1;
                 }
                 Err(error) => return Err(error),
@@ -122,7 +123,7 @@ impl Client {
         }
     }
 
-    /// One connection's worth of events; the job when it has ended.
+    /// Follows the events of one connection. Returns the job if it has ended.
     async fn follow(
         &self,
         job: &JobId,

@@ -1,9 +1,9 @@
 //! A typed client of the service.
 //!
 //! ```no_run
-//! # async fn example() -> Result<(), relume::client::ClientError> {
-//! use relume::api::jobs::NewJob;
-//! use relume::client::Client;
+//! # async fn example() -> Result<(), relume_client::ClientError> {
+//! use relume_api::jobs::NewJob;
+//! use relume_client::Client;
 //!
 //! let client = Client::new("http://127.0.0.1:7878", None)?;
 //! let capture = client.upload_capture("scan.zip".as_ref()).await?;

@@ -1,4 +1,4 @@
-//! Models, their files and frames of them.
+//! Models, their files and frames.
 
 use std::path::Path;
 
@@ -16,18 +16,18 @@ use relume_api::{List, ModelId};
 use relume_spec::rendering::FrameFormat;
 
 impl Client {
-    /// A model, its files and its card.
+    /// A model with its files and its card.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn model(&self, id: &ModelId) -> Result<ModelView> {
         json(self.request(Method::GET, &format!("/v1/models/{id}"))?).await
     }
 
-    /// Changes what a model is called.
+    /// Changes the metadata of a model.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn change_model(&self, id: &ModelId, change: &MetadataChange) -> Result<ModelSummary> {
         json(self.request(Method::PATCH, &format!("/v1/models/{id}"))?.json(change)).await
     }
@@ -35,15 +35,15 @@ impl Client {
     /// The newest models.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn models(&self) -> Result<List<ModelSummary>> {
         json(self.request(Method::GET, "/v1/models")?).await
     }
 
-    /// A file of a model, in memory.
+    /// A file of a model in memory.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn file(&self, model: &ModelId, name: &str) -> Result<Bytes> {
         let request = self.request(Method::GET, &format!("/v1/models/{model}/files/{name}"))?;
         Download::begin(request).await?.whole().await
@@ -52,7 +52,7 @@ impl Client {
     /// Downloads a file of a model to `path`.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way; an incomplete file may then be at `path`.
+    /// [`crate::ClientError`]: the server refused the request, or it failed; an incomplete file may remain at `path`.
     pub async fn download(&self, model: &ModelId, name: &str, path: &Path) -> Result<()> {
         let request = self.request(Method::GET, &format!("/v1/models/{model}/files/{name}"))?;
         Download::begin(request).await?.save(path).await
@@ -61,7 +61,7 @@ impl Client {
     /// A rendered frame as an image file.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn render(
         &self,
         model: &ModelId,
@@ -76,7 +76,7 @@ impl Client {
     /// A model's stream for viewers (docs/viewer-stream.md).
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn viewer_stream(&self, model: &ModelId) -> Result<Bytes> {
         let request = self.request(Method::GET, &format!("/v1/models/{model}/stream"))?;
         Ok(checked(request).await?.bytes().await?)
@@ -85,7 +85,7 @@ impl Client {
     /// A light's stream for viewers of a model; `query` as in the API, e.g. `environment=studio&rotation=30`.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn viewer_light(&self, model: &ModelId, query: &str) -> Result<Bytes> {
         let request = self.request(Method::GET, &format!("/v1/models/{model}/light?{query}"))?;
         Ok(checked(request).await?.bytes().await?)
@@ -94,7 +94,7 @@ impl Client {
     /// A thumbnail; `query` as in the API, e.g. `env=studio&size=128`.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn thumbnail(&self, model: &ModelId, query: &str) -> Result<Bytes> {
         let request = self.request(Method::GET, &format!("/v1/models/{model}/thumbnail?{query}"))?;
         Ok(checked(request).await?.bytes().await?)

@@ -1,4 +1,4 @@
-//! Uploads in pieces, which go on where they broke off.
+//! Resumable uploads in chunks.
 
 use reqwest::header::{CONTENT_TYPE, LOCATION};
 use reqwest::{Method, RequestBuilder, Response};
@@ -10,38 +10,39 @@ use relume_api::uploads::{CaptureSource, UploadView};
 use relume_api::{List, UploadId};
 
 impl Client {
-    /// Begins an upload of `length` bytes.
+    /// Starts an upload of `length` bytes.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn begin_upload(&self, length: u64) -> Result<UploadId> {
         let request = self.tus(Method::POST, "/v1/uploads")?.header("upload-length", length);
         let response = checked(request).await?;
         let location = response.headers().get(LOCATION).and_then(|value| value.to_str().ok());
         let id = location.and_then(|text| text.rsplit('/').next()).map(UploadId::from);
-        id.ok_or_else(|| ClientError::Unexpected("an upload without a Location".to_owned()))
+        id.ok_or_else(|| ClientError::Unexpected("the upload has no Location".to_owned()))
     }
 
-    /// How much of an upload has arrived.
+    /// The state of an upload, including the number of received bytes.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn upload(&self, id: &UploadId) -> Result<UploadView> {
         json(self.request(Method::GET, &format!("/v1/uploads/{id}"))?).await
     }
 
-    /// The newest uploads that no capture was made of.
+    /// The newest uploads that are not yet captures.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn uploads(&self) -> Result<List<UploadView>> {
         json(self.request(Method::GET, "/v1/uploads")?).await
     }
 
-    /// Sends a piece that begins at `offset`; where the upload is then.
+    /// Sends a chunk that starts at `offset`; returns the new offset of the upload.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way: part of the piece may have arrived.
+    /// [`crate::ClientError`]: the server refused the request, or it failed and part of the chunk may have been
+    /// received.
     pub async fn send_piece(
         &self,
         id: &UploadId,
@@ -54,26 +55,26 @@ impl Client {
         offset_of(&checked(request.body(piece)).await?)
     }
 
-    /// Makes a capture of a complete upload, which is gone then.
+    /// Creates a capture from a complete upload, which is then removed.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn capture_of_upload(&self, id: &UploadId) -> Result<CaptureSummary> {
         self.capture_of(&CaptureSource::upload(id.clone())).await
     }
 
-    /// Makes a capture of a complete upload, or of a file that the server fetches.
+    /// Creates a capture from a complete upload, or from a file that the server fetches.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn capture_of(&self, source: &CaptureSource) -> Result<CaptureSummary> {
         json(self.request(Method::POST, "/v1/captures")?.json(source)).await
     }
 
-    /// Gives an upload up.
+    /// Cancels an upload.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn delete_upload(&self, id: &UploadId) -> Result<()> {
         checked(self.tus(Method::DELETE, &format!("/v1/uploads/{id}"))?).await.map(drop)
     }
@@ -86,5 +87,5 @@ impl Client {
 fn offset_of(response: &Response) -> Result<u64> {
     let offset = response.headers().get("upload-offset").and_then(|value| value.to_str().ok());
     let offset = offset.and_then(|text| text.parse().ok());
-    offset.ok_or_else(|| ClientError::Unexpected("an upload without an offset".to_owned()))
+    offset.ok_or_else(|| ClientError::Unexpected("the upload has no valid Upload-Offset".to_owned()))
 }

@@ -1,4 +1,4 @@
-//! What a server has stored.
+//! Storage usage.
 
 use reqwest::Method;
 
@@ -7,10 +7,10 @@ use crate::error::Result;
 use relume_api::usage::Usage;
 
 impl Client {
-    /// What the server has stored.
+    /// Storage usage of the server.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn usage(&self) -> Result<Usage> {
         json(self.request(Method::GET, "/v1/usage")?).await
     }

@@ -1,4 +1,4 @@
-//! What a worker asks of a server and tells it. The key needs the scope `work`.
+//! Requests of a worker to the server. The key needs the scope `work`.
 
 use std::time::Duration;
 
@@ -15,20 +15,20 @@ use relume_api::work::{
 };
 use relume_api::{EnvironmentId, JobId, List, WorkerId};
 
-/// The header with the lease's token.
+/// Header with the token of the lease.
 const LEASE: &str = "relume-lease";
-/// How long the answer to a small message may take.
+/// Timeout of the response to a small message.
 const RESPONSE_TIMEOUT: Duration = Duration::from_secs(30);
-/// How long the server may take to publish a model: it reads the files once more.
+/// Timeout of publishing a model, during which the server reads the files once more.
 const PUBLISH_TIMEOUT: Duration = Duration::from_secs(300);
-/// How long a file may take on its way to the server.
+/// Timeout of sending a file to the server.
 const UPLOAD_TIMEOUT: Duration = Duration::from_secs(3600);
 
 impl Client {
-    /// Asks for a job, which also says that the worker is there.
+    /// Requests a job; also counts as a heartbeat of the worker.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn claim_job(&self, hello: &WorkerHello) -> Result<Claimed> {
         json(self.request(Method::POST, "/v1/work/claims")?.timeout(RESPONSE_TIMEOUT).json(hello)).await
     }
@@ -36,26 +36,26 @@ impl Client {
     /// All workers.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn workers(&self) -> Result<List<WorkerView>> {
         json(self.request(Method::GET, "/v1/workers")?).await
     }
 
-    /// Says whether a worker is given jobs.
+    /// Sets whether a worker is given jobs.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn change_worker(&self, id: &WorkerId, change: &WorkerChange) -> Result<WorkerView> {
         json(self.request(Method::PATCH, &format!("/v1/workers/{id}"))?.json(change)).await
     }
 
-    /// The job that a lease is on.
+    /// The job of a lease.
     pub fn leased_job(&self, job: JobId, lease: String) -> LeasedJob {
         LeasedJob { client: self.clone(), job, lease }
     }
 }
 
-/// A job that a worker holds the lease of. Every call is refused with 409 once the lease is lost.
+/// A job whose lease a worker holds. Every call is refused with 409 once the lease is lost.
 #[derive(Debug, Clone)]
 pub struct LeasedJob {
     client: Client,
@@ -64,10 +64,10 @@ pub struct LeasedJob {
 }
 
 impl LeasedJob {
-    /// Says that the worker is there.
+    /// Sends a heartbeat.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn heartbeat(&self) -> Result<LeaseView> {
         json(self.request(Method::POST, "heartbeat")?.timeout(RESPONSE_TIMEOUT)).await
     }
@@ -75,23 +75,23 @@ impl LeasedJob {
     /// Reports progress, which renews the lease.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn progress(&self, progress: &JobProgress) -> Result<LeaseView> {
         self.post("progress", progress).await
     }
 
-    /// Warns the user.
+    /// Sends a warning for the user.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn warn(&self, message: &str) -> Result<LeaseView> {
         self.post("warnings", &WorkWarning { message: message.to_owned() }).await
     }
 
-    /// Publishes a model whose files were sent.
+    /// Publishes a model whose files have been sent.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn publish(&self, model: &FinishedModel) -> Result<LeaseView> {
         json(self.request(Method::POST, "model")?.timeout(PUBLISH_TIMEOUT).json(model)).await
     }
@@ -99,7 +99,7 @@ impl LeasedJob {
     /// Ends the attempt without a model.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn end(&self, end: &WorkEnd) -> Result<LeaseView> {
         self.post("end", end).await
     }
@@ -107,7 +107,7 @@ impl LeasedJob {
     /// Sends a checkpoint.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn put_checkpoint(&self, step: i64, bytes: Bytes) -> Result<LeaseView> {
         json(self.request(Method::PUT, &format!("checkpoints/{step}"))?.timeout(UPLOAD_TIMEOUT).body(bytes))
             .await
@@ -116,31 +116,31 @@ impl LeasedJob {
     /// Sends a file of the model.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn put_file(&self, name: &str, bytes: Bytes) -> Result<SentFile> {
         json(self.request(Method::PUT, &format!("files/{name}"))?.timeout(UPLOAD_TIMEOUT).body(bytes)).await
     }
 
-    /// The capture.
+    /// Downloads the capture.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn capture(&self) -> Result<Download> {
         self.fetch("capture").await
     }
 
-    /// An environment map of the job's tenant.
+    /// Downloads an environment map of the job's tenant.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn environment(&self, id: &EnvironmentId) -> Result<Download> {
         self.fetch(&format!("environments/{id}")).await
     }
 
-    /// The checkpoint to go on from.
+    /// Downloads the checkpoint from which to resume.
     ///
     /// # Errors
-    /// The server's refusal, or what failed on the way.
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn checkpoint(&self) -> Result<Download> {
         self.fetch("checkpoint").await
     }

@@ -1,7 +1,8 @@
-//! Comparisons of floats for tests. NaN on either side, an infinity on one side, and slices of different lengths count as an
-//! infinite error, so that no assertion with an upper bound passes by accident. Equal infinities count as equal.
+//! Comparisons of floats for tests. NaN on either side, an infinity on one side, and slices of different lengths
+//! count as an infinite error, so that no assertion with an upper bound passes by accident. Equal infinities count as
+//! equal.
 
-/// Largest absolute difference of two sequences of equal length; 0 of two empty ones.
+/// Largest absolute difference of two sequences of equal length; 0 for empty ones.
 pub fn largest_difference<'v, A, B>(
     found: impl IntoIterator<Item = &'v A>,
     expected: impl IntoIterator<Item = &'v B>,
@@ -21,7 +22,7 @@ where
     }
 }
 
-/// [`largest_difference`] over the largest absolute value of `expected`, which counts as at least 1e-9.
+/// [`largest_difference`] divided by the largest absolute value of `expected`, which counts as at least 1e-9.
 pub fn relative_error<'v, A, B>(
     found: impl IntoIterator<Item = &'v A>,
     expected: impl IntoIterator<Item = &'v B> + Clone,
@@ -35,7 +36,7 @@ where
     if scale.is_finite() { largest_difference(found, expected) / scale } else { f64::INFINITY }
 }
 
-/// Root of the mean squared difference of two sequences of equal length; 0 of two empty ones.
+/// Root mean square difference of two sequences of equal length; 0 for empty ones.
 pub fn rms_difference<A, B>(found: &[A], expected: &[B]) -> f64
 where
     A: Copy + Into<f64>,
@@ -48,13 +49,13 @@ where
     (squares.sum::<f64>() / found.len().max(1) as f64).sqrt()
 }
 
-/// The largest of errors that are 0 or more; infinity if one of them is NaN.
+/// The largest of non-negative errors; infinity if one of them is NaN.
 pub fn worst<T: Into<f64>>(errors: impl IntoIterator<Item = T>) -> f64 {
     let errors = errors.into_iter().map(Into::into);
     errors.fold(0.0, |worst: f64, error: f64| if error.is_nan() { f64::INFINITY } else { worst.max(error) })
 }
 
-/// Absolute difference; infinity where a number is NaN, 0 of equal infinities.
+/// Absolute difference; infinity if a value is NaN, 0 for equal infinities.
 pub fn difference(a: f64, b: f64) -> f64 {
     let apart = (a - b).abs();
     if a == b {

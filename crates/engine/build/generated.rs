@@ -1,5 +1,5 @@
-//! WGSL constants and layouts out of the Rust definitions that the host uses: what `#import generated/NAME` gives. The build
-//! script writes all pieces to `OUT_DIR/generated.wgsl` too, to be read.
+//! WGSL constants and layouts from the Rust definitions of `relume-layout`, for `#import generated/NAME`. The build script
+//! also writes all pieces to the file `generated.wgsl` in its output folder, for reading.
 
 use std::fmt::Write as _;
 use std::ops::Range;
@@ -17,7 +17,7 @@ macro_rules! list {
     };
 }
 
-/// Names of the pieces.
+/// Names of all pieces.
 pub const PIECES: [&str; 11] = [
     "channels",
     "density",
@@ -40,7 +40,7 @@ pub fn all() -> String {
         .collect()
 }
 
-/// The text of a piece; `None` for a name without one.
+/// The text of a piece; `None` for an unknown name.
 pub fn piece(name: &str) -> Option<String> {
     Some(match name {
         "channels" => channels(),
@@ -63,7 +63,7 @@ pub fn piece(name: &str) -> Option<String> {
     })
 }
 
-/// A value as WGSL writes it.
+/// A value as a WGSL literal.
 trait Literal {
     fn literal(&self) -> String;
 }
@@ -81,7 +81,7 @@ impl Literal for usize {
 }
 
 impl Literal for f32 {
-    /// As many digits as tell it from its neighbours, with the type: expressions of it round as on the host.
+    /// Enough digits to identify the value, with its type, so that expressions of it round as on the host.
     fn literal(&self) -> String {
         format!("{self:?}f")
     }
@@ -97,7 +97,7 @@ fn constant(name: &str, value: impl Literal) -> String {
     format!("const {name} = {};\n", value.literal())
 }
 
-/// Groups of four channels and what each holds.
+/// Groups of four channels and their content.
 fn channels() -> String {
     let mut out = list![kernel_constants: GRADIENT_HEADER];
     out += &constant("HEADER_GROUPS", GRADIENT_HEADER / GROUP);
@@ -143,7 +143,7 @@ fn channels() -> String {
     out
 }
 
-/// A function that takes `channels` out of their group.
+/// A WGSL function that returns `channels` of their group.
 fn accessor(name: &str, channels: Range<usize>) -> String {
     let first = channels.start % GROUP;
     let swizzle = &"xyzw"[first..first + channels.len()];
@@ -151,7 +151,7 @@ fn accessor(name: &str, channels: Range<usize>) -> String {
     format!("fn channel_{name}(group: vec4f) -> {kind} {{ return group.{swizzle}; }}\n")
 }
 
-/// The level of an unknown light.
+/// The assumed level of an unknown light.
 fn level() -> String {
     let [red, green, blue] = light::LUMINANCE;
     format!("const LUMINANCE = vec3f({red:?}, {green:?}, {blue:?});\n") + &list![light: UPWARD_LUMINANCE]
@@ -182,7 +182,7 @@ fn objective() -> String {
     out + &constant("SSIM_WINDOW", constants::ssim_window())
 }
 
-/// Fields in storage order, and where each lies in the planar parameter buffer.
+/// Fields in storage order, and the offset of each in the planar parameter buffer.
 fn parameters() -> String {
     let mut out = String::new();
     for field in Field::ALL {
@@ -218,7 +218,7 @@ fn parameters() -> String {
     })
 }
 
-/// A function of a field's number.
+/// A WGSL function of a field's number.
 fn field_function(name: &str, value: impl Fn(Field) -> String) -> String {
     let mut out = format!("fn field_{name}(model: Layout, field: u32) -> u32 {{\n    switch field {{\n");
     for field in Field::ALL {
@@ -236,7 +236,7 @@ fn slots() -> String {
     out
 }
 
-/// Where in the world a pixel's surface is, and from where it looks for a small light.
+/// Constants of a pixel's surface point and of the start points of rays towards small lights.
 fn surface_point() -> String {
     let places = constants::SHADOW_SAMPLE_OFFSETS;
     let mut out = list![constants: MAX_PLANE_DEPTH_ERROR, MAX_MEAN_DEPTH_ERROR, LIFT];

@@ -1,18 +1,19 @@
 //! The shader preprocessor: imports, conditions, unrolling and float accumulation, line by line.
 //!
-//! - `#import name`: the text of `shaders/shared/name.wgsl`, once a shader; of `generated/name`, see `build/generated.rs`.
-//! - `#ifdef X`, `#ifndef X`, `#else`, `#endif`: X is a define of the permutation.
+//! - `#import name`: the text of file `name` in `shaders/shared/`, at most once per shader; for `generated/name` see
+//!   `build/generated.rs`.
+//! - `#ifdef X`, `#ifndef X`, `#else`, `#endif`: conditions on X, a define of the permutation.
 //! - `#repeat k COUNT` ... `#end`: the lines COUNT times, `$k` replaced by 0, 1, ...; COUNT is a number or a define.
 //! - `accumulate!(target, value);` on a line of its own: atomic float addition to an element of type `accumulator`.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-/// How `accumulate!` is compiled.
+/// Implementation of `accumulate!`.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Accumulation {
-    /// Float atomics of the device.
+    /// Native float atomics.
     Native,
-    /// A compare-exchange loop on the bits, for devices without.
+    /// A compare-exchange loop on the bits, for devices without float atomics.
     CompareExchange,
 }
 
@@ -50,7 +51,7 @@ fn parse_permutation(line: &str) -> Result<Permutation, String> {
     })
 }
 
-/// Expands `source`; `import` gives the text of a shared piece.
+/// Expands `source`; `import` returns the text of a shared piece.
 pub fn expand(
     source: &str,
     defines: &BTreeMap<String, Option<u32>>,

@@ -1,4 +1,4 @@
-//! Compiles every permutation of the shaders to checked text: an error in WGSL is an error of the build.
+//! Expands and validates every permutation of the shaders, so that an error in WGSL fails the build.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::{generated, viewer};
 
 pub type Failure = Box<dyn std::error::Error>;
 
-/// Writes the checked text of every permutation to `OUT_DIR/shaders.rs`.
+/// Writes the validated text of every permutation to the file `shaders` (`.rs`) in the output folder.
 pub fn compile_all() -> Result<(), Failure> {
     let folder = Path::new(&std::env::var("CARGO_MANIFEST_DIR")?).join("../../shaders");
     println!("cargo::rerun-if-changed={}", folder.display());
@@ -67,7 +67,7 @@ pub fn expanded(folder: &Path, permutation: &Permutation, sums: Accumulation) ->
     expand(&entry, &permutation.defines, sums, &import)
 }
 
-/// Parses and validates.
+/// Parses and validates WGSL.
 pub fn check(source: &str) -> Result<naga::Module, Failure> {
     let module = naga::front::wgsl::parse_str(source).map_err(|e| e.emit_to_string(source))?;
     let capabilities = Capabilities::SHADER_FLOAT32_ATOMIC;
@@ -100,7 +100,7 @@ fn bindings(module: &naga::Module) -> Result<String, Failure> {
     Ok(kinds.iter().map(|(_, kind)| format!("BindingKind::{kind}")).collect::<Vec<_>>().join(", "))
 }
 
-/// Named struct types with size and member offsets, so that a test can compare them with the host's.
+/// Named struct types with size and member offsets. A test compares them with the host's structs.
 fn structs(module: &naga::Module) -> String {
     let mut out = Vec::new();
     for (_, ty) in module.types.iter() {

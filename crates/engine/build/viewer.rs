@@ -1,6 +1,6 @@
-//! The shaders of the viewer in a browser: kernels of the engine and what draws their splats, as one JSON file.
+//! The shaders of the browser viewer, as one JSON file: kernels of the engine and shaders that draw their splats.
 //!
-//! S, the number of visibility coefficients, is left to the viewer, which puts `const S = 16u;` before a text.
+//! The viewer sets S, the number of visibility coefficients: it puts e.g. `const S = 16u;` before a shader text.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -12,11 +12,11 @@ use crate::generated;
 use crate::preprocess::{Accumulation, parse_permutations};
 use crate::shaders::{Failure, check, expanded};
 
-/// Numbers of visibility coefficients that models have.
+/// Possible numbers of visibility coefficients of a model.
 const COEFFICIENTS: [u32; 7] = [1, 4, 9, 16, 25, 36, 49];
 
-/// Writes the checked shaders of `shaders/viewer.txt` to `OUT_DIR/viewer_shaders.json`: texts and kinds of bindings, layouts of
-/// structs in bytes, and the numbers that stand for forms of the model.
+/// Writes the validated shaders of `shaders/viewer.txt` to `OUT_DIR/viewer_shaders.json`: texts and kinds of bindings, layouts
+/// of structs in bytes, and the numbers that encode forms of the model.
 pub fn compile_all(folder: &Path) -> Result<(), Failure> {
     let mut shaders = Vec::new();
     let mut structs = BTreeMap::new();
@@ -43,13 +43,13 @@ pub fn compile_all(folder: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The lines that say something, without indentation.
+/// The lines with code, without indentation.
 fn without_comments(text: &str) -> String {
     let lines = text.lines().map(|line| line.split("//").next().unwrap_or("").trim());
     lines.filter(|line| !line.is_empty()).fold(String::new(), |out, line| out + line + "\n")
 }
 
-/// Kinds of the bindings of group 0 as WebGPU calls them, in order; empty where one has no number.
+/// Kinds of the bindings of group 0 as WebGPU names them, in order; empty where a binding has no number.
 fn bindings(module: &Module) -> Result<Vec<&'static str>, Failure> {
     let mut kinds = BTreeMap::new();
     for (_, variable) in module.global_variables.iter() {
@@ -91,7 +91,7 @@ fn layouts(module: &Module) -> BTreeMap<String, String> {
         .collect()
 }
 
-/// The numbers that stand for forms of the model, e.g. `"NORMAL_FREE": 0`.
+/// The numbers that encode forms of the model, e.g. `"NORMAL_FREE": 0`.
 fn codes() -> Vec<String> {
     let text = generated::piece("parameters").unwrap_or_default();
     let constant = |line: &str| {

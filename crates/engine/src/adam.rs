@@ -1,19 +1,19 @@
-//! What both engines' Adam (Kingma and Ba 2015) share: groups of parameters, step sizes and bias corrections.
+//! Parameter groups, step sizes and bias corrections of Adam (Kingma and Ba 2015), shared by both engines.
 
 use relume_layout::constants::{ADAM_BETA1, ADAM_BETA2};
 use relume_scene::Field;
 
-/// Share of the radiance step that coefficients beyond degree 0 take.
+/// Factor of the radiance step size for coefficients above degree 0.
 pub const HIGHER_DEGREE_SHARE: f32 = 0.05;
-/// Steps after which a bias correction is 1 in f32.
+/// Number of steps after which a bias correction is 1 in f32.
 const MAX_STEPS: u32 = 100_000;
 
-/// Parameters that begin to train together.
+/// Parameters that start to train together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FieldGroup {
     /// Shape, opacity and the radiance branch: from the first step.
     Geometry,
-    /// What only the physically based branch trains; prototypes and environment belong to it too.
+    /// Parameters of the physically based branch alone, including prototypes and environment.
     Material,
 }
 
@@ -30,15 +30,15 @@ impl FieldGroup {
     }
 }
 
-/// Share of its field's step size that float `k` of a row takes.
+/// Factor of the field's step size for float `k` of a row.
 pub fn share_of_step(field: Field, k: usize) -> f32 {
     if field == Field::Radiance && k >= 3 { HIGHER_DEGREE_SHARE } else { 1.0 }
 }
 
-/// Step sizes of one step; zero leaves a field and its moments alone.
+/// Step sizes of one step; at 0 a field and its moments are unchanged.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct StepSizes {
-    /// By [`Field`] discriminant.
+    /// Step size per [`Field`] discriminant.
     pub fields: [f32; Field::COUNT],
     /// Albedo prototypes.
     pub prototypes: f32,
@@ -57,7 +57,7 @@ impl StepSizes {
     }
 }
 
-/// How many steps each [`FieldGroup`] has trained, the present one included: at least 1.
+/// Number of steps that each [`FieldGroup`] has trained, including the current one: at least 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StepCounts {
     /// Geometry and radiance.

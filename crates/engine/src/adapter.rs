@@ -1,4 +1,4 @@
-//! Which device is asked for, which adapters there are, and which of them that is.
+//! Choice of a device: the request, the adapters of the machine, and the selection of one.
 
 use crate::DeviceError;
 
@@ -10,7 +10,7 @@ pub enum DeviceChoice {
     Auto,
     /// The CPU engine.
     Cpu,
-    /// A GPU: the first hardware one, or the adapter of this number, software or not.
+    /// A GPU: the first hardware adapter, or the adapter with this number, hardware or software.
     Gpu(Option<usize>),
 }
 
@@ -45,7 +45,7 @@ impl std::fmt::Display for DeviceChoice {
     }
 }
 
-/// What is known of an adapter before it is opened.
+/// Properties of an adapter, known before it is opened.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AdapterReport {
     /// Position among the adapters, the N of `gpu:N`.
@@ -56,7 +56,7 @@ pub struct AdapterReport {
     pub driver: String,
     /// Graphics API.
     pub backend: String,
-    /// True for a CPU that plays GPU: right, and slow.
+    /// True for a software adapter, which computes on the CPU: correct but slow.
     pub software: bool,
     /// Largest storage binding, bytes.
     pub max_binding: u64,
@@ -64,25 +64,25 @@ pub struct AdapterReport {
     pub max_buffer: u64,
     /// Workgroup memory, bytes.
     pub workgroup_memory: u32,
-    /// Native addition to floats in memory; without, a compare-exchange loop.
+    /// True where the adapter has native float atomics; otherwise kernels use a compare-exchange loop.
     pub float_atomics: bool,
-    /// Times per stage can be measured.
+    /// True where times per stage can be measured.
     pub timestamps: bool,
-    /// What the engine needs and the adapter lacks; empty if it can be used.
+    /// Features that the engine needs and the adapter lacks; empty for a usable adapter.
     pub lacks: Vec<String>,
 }
 
 impl AdapterReport {
-    /// True when it has all that the engine needs.
+    /// True when the adapter has everything that the engine needs.
     pub fn usable(&self) -> bool {
         self.lacks.is_empty()
     }
 }
 
-/// The index of the adapter that `choice` means; `None` is the CPU engine.
+/// The index of the adapter that `choice` selects; `None` is the CPU engine.
 ///
 /// # Errors
-/// [`DeviceError::Unavailable`] when a GPU is asked for and cannot be had; the message says why.
+/// [`DeviceError::Unavailable`] when `choice` requires a GPU and none is usable; the message gives the reason.
 pub fn choose_adapter(reports: &[AdapterReport], choice: DeviceChoice) -> Result<Option<usize>, DeviceError> {
     let hardware = || reports.iter().find(|r| !r.software && r.usable()).map(|r| r.index);
     let listed = || {
@@ -102,7 +102,7 @@ pub fn choose_adapter(reports: &[AdapterReport], choice: DeviceChoice) -> Result
     };
     match choice {
         DeviceChoice::Cpu => Ok(None),
-        // A software adapter is slower than the CPU engine: only by name.
+        // A software adapter is slower than the CPU engine, so only an explicit number selects it.
         DeviceChoice::Auto => Ok(hardware()),
         DeviceChoice::Gpu(None) => {
             hardware().map(Some).ok_or_else(|| unavailable("hardware GPU that can be used"))

@@ -1,4 +1,4 @@
-//! A camera as the engines' f32 kernels take it.
+//! A camera for the engines' f32 kernels.
 
 use relume_scene::{Camera, ShadingOptions};
 
@@ -23,12 +23,12 @@ pub struct RasterCamera {
     pub ratio_limits: [[f32; 2]; 2],
     /// Screen-space low-pass, px^2.
     pub low_pass: f32,
-    /// Keep a splat's weight under the low-pass.
+    /// True where the opacity compensates for the low-pass.
     pub low_pass_compensation: bool,
 }
 
 impl RasterCamera {
-    /// The kernels' view of `camera`.
+    /// The f32 form of `camera`.
     pub fn new(camera: &Camera, options: &ShadingOptions) -> Self {
         let r = camera.rotation;
         let limits = |size: u32, c: f64, f: f64| {
@@ -52,19 +52,19 @@ impl RasterCamera {
         }
     }
 
-    /// Camera coordinates of a world point: `R x + t`. Models lie around the origin, so this keeps the digits across the
-    /// view of a camera that is far away, where `R (x - centre)` would lose those of `x`.
+    /// Camera coordinates of a world point: `R x + t`. Models lie around the origin, so for a far-away camera this form keeps
+    /// the digits of `x` that `R (x - centre)` would lose.
     #[inline]
     pub fn to_camera(&self, x: [f32; 3]) -> [f32; 3] {
         std::array::from_fn(|k| (0..3).map(|c| self.rotation[k][c] * x[c]).sum::<f32>() + self.translation[k])
     }
 
-    /// Orders world points by depth: the bits of the part of depth that differs between them, `r_3 . x`. To a camera far
-    /// away all of a model has the same depth but for the last digits; this has all of its own.
+    /// Key that orders world points by depth: the bits of `r_3 . x`, the part of depth that differs between points. For a
+    /// far-away camera the depths of a model differ in their last digits only; this part keeps all digits.
     #[inline]
     pub fn depth_key(&self, x: [f32; 3]) -> u32 {
         let along: f32 = (0..3).map(|c| self.rotation[2][c] * x[c]).sum();
-        // Adding zero turns -0 into 0; then positive floats order like their bits, negative ones the other way.
+        // Adding zero turns -0 into 0. Positive floats then have the order of their bits, negative ones the reverse order.
         let bits = (along + 0.0).to_bits();
         if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }
     }
@@ -75,7 +75,7 @@ impl RasterCamera {
         self.ray_through([x as f32 + 0.5, y as f32 + 0.5])
     }
 
-    /// The same through any place of the image, pixels from its upper left corner.
+    /// The same through any point of the image, pixels from its upper left corner.
     #[inline]
     pub fn ray_through(&self, [x, y]: [f32; 2]) -> [f32; 3] {
         let u = (x - self.centre_px[0]) / self.focal[0];

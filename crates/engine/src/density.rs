@@ -1,4 +1,4 @@
-//! Density control between the host, which plans a round, and an engine, which carries it out: plain data.
+//! Data of density control: the signals from which the host plans a round, and the plan that an engine executes.
 
 use crate::Gradients;
 
@@ -7,7 +7,7 @@ use crate::Gradients;
 pub struct DensityStats {
     /// Sum of the AbsGS signal: magnitudes of the gradient by the projected mean, pixel by pixel (half image widths).
     pub absgrad: Vec<f32>,
-    /// Steps in which the Gaussian was on screen.
+    /// Number of steps in which the Gaussian was on screen.
     pub seen: Vec<f32>,
 }
 
@@ -28,7 +28,7 @@ impl DensityStats {
     }
 }
 
-/// What a round is planned from, by Gaussian.
+/// The signals from which a round is planned, per Gaussian.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct DensitySignals {
     /// Centres, normalised world.
@@ -41,10 +41,10 @@ pub struct DensitySignals {
     pub stats: DensityStats,
 }
 
-/// How a Gaussian of the next generation follows from its source.
+/// Derivation of a Gaussian of the next generation from its source.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SplitOrigin {
-    /// The source itself, moments included.
+    /// The source itself, with its moments.
     Keep,
     /// The half on the positive side of the source's longest axis, moments zero.
     UpperHalf,
@@ -57,7 +57,7 @@ pub enum SplitOrigin {
 pub struct PlannedGaussian {
     /// Index of its source in the old generation.
     pub source: u32,
-    /// How it follows from the source.
+    /// Its derivation from the source.
     pub origin: SplitOrigin,
 }
 

@@ -1,4 +1,4 @@
-//! The device that trains and renders.
+//! The device that trains and renders: the CPU engine or an open GPU.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use crate::{
 use relume_scene::Model;
 use relume_scene::light::EnvOperators;
 
-/// An engine that is ready to use.
+/// An open engine.
 #[derive(Debug, Clone, Default)]
 pub enum Device {
     /// The CPU engine.
@@ -23,7 +23,7 @@ pub enum Device {
     Gpu(Gpu),
 }
 
-/// The graphics adapters of this machine, software ones too; none in a build without the feature `gpu`.
+/// The graphics adapters of this machine, including software adapters; empty in a build without the feature `gpu`.
 pub fn adapters() -> Vec<AdapterReport> {
     #[cfg(feature = "gpu")]
     return Adapters::find().reports().to_vec();
@@ -32,10 +32,10 @@ pub fn adapters() -> Vec<AdapterReport> {
 }
 
 impl Device {
-    /// Opens what `choice` means on this machine.
+    /// Opens the device that `choice` selects on this machine.
     ///
     /// # Errors
-    /// [`DeviceError::Unavailable`] when a GPU is asked for and cannot be had.
+    /// [`DeviceError::Unavailable`] when `choice` requires a GPU and none is usable.
     pub fn open(choice: DeviceChoice) -> Result<Self, DeviceError> {
         if choice == DeviceChoice::Cpu {
             return Ok(Self::Cpu);
@@ -54,7 +54,7 @@ impl Device {
         let adapters = Adapters::find();
         let Some(index) = choose_adapter(adapters.reports(), choice)? else { return Ok(Self::Cpu) };
         let gpu = Gpu::open(&adapters, index, GpuOptions::from_env())?;
-        // Nothing is built on a device that cannot add.
+        // A device that fails the self-test is not used.
         gpu.self_test()?;
         Ok(Self::Gpu(gpu))
     }
@@ -69,7 +69,7 @@ impl Device {
         }
     }
 
-    /// False once the device has failed: nothing on it can be used.
+    /// False once the device has failed; everything on it is then unusable.
     pub fn is_sound(&self) -> bool {
         match self {
             Self::Cpu => true,
@@ -83,7 +83,7 @@ impl Device {
         !matches!(self, Self::Cpu)
     }
 
-    /// What it is, for people.
+    /// Name for display.
     pub fn name(&self) -> String {
         match self {
             Self::Cpu => "cpu".to_owned(),
@@ -92,7 +92,7 @@ impl Device {
         }
     }
 
-    /// Takes a training over from `state`; `limits` says how large it may become.
+    /// Starts a training from `state`; `limits` bounds its size.
     ///
     /// # Errors
     /// [`DeviceError::TooLarge`] or [`DeviceError::OutOfMemory`] when it does not fit the device.
@@ -110,10 +110,10 @@ impl Device {
         }
     }
 
-    /// Takes a checked model in, to be rendered.
+    /// Prepares a checked model for rendering.
     ///
     /// # Errors
-    /// When the device cannot hold it.
+    /// When the model does not fit the device, or the device failed.
     pub fn frames(&self, model: Arc<Model>) -> Result<FrameRenderer, DeviceError> {
         match self {
             Self::Cpu => Ok(FrameRenderer::on_cpu_only(model)),

@@ -12,7 +12,7 @@ pub struct Frame {
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// The outputs asked for, plus [`Output::Alpha`] always.
+    /// The requested outputs, and always [`Output::Alpha`].
     pub planes: BTreeMap<Output, Vec<f32>>,
 }
 

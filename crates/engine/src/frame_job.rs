@@ -1,4 +1,4 @@
-//! What a renderer asks of a device, and what a device other than the CPU engine offers for it.
+//! Interface between a renderer and a device other than the CPU engine.
 
 use std::any::Any;
 
@@ -6,30 +6,30 @@ use crate::{DeviceError, Frame, RasterCamera, RayLight, RayTree};
 use relume_scene::Output;
 use relume_scene::light::LightTables;
 
-/// Probe directions behind the gathered light of a frame.
+/// Number of probe directions for the gathered light of a frame.
 pub const PROBE_DIRECTIONS: usize = 96;
-/// Rounds of gathered light of a frame.
+/// Number of bounces of the gathered light of a frame.
 pub const BOUNCES: usize = 3;
 
-/// How the colour of a frame comes about.
+/// Computation of a frame's colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ColourMode {
-    /// Gaussians are shaded once and blended in three channels: `rgb` and `alpha` only, whatever the model.
+    /// Every model is shaded at its Gaussians and blended in three channels: outputs `rgb` and `alpha` only.
     Alone,
-    /// With a G-buffer, shaded where the model was trained to be.
+    /// With a G-buffer, shaded where the model's options place the shading.
     WithGBuffer,
 }
 
-/// A frame to make from tables of the light.
+/// A frame to render from light tables.
 #[derive(Debug, Clone, Copy)]
 pub struct FrameJob<'a> {
     /// Camera in the normalised world.
     pub view: RasterCamera,
-    /// Sorted, without repetition.
+    /// Requested outputs, sorted and without repetition.
     pub outputs: &'a [Output],
-    /// How its colour comes about.
+    /// Computation of its colour.
     pub colour: ColourMode,
-    /// From model to capture units.
+    /// Factor from model to capture units.
     pub depth_scale: f32,
 }
 
@@ -38,20 +38,20 @@ pub type DeviceLight = Box<dyn Any + Send + Sync>;
 
 /// A model on a device other than the CPU engine.
 pub trait DeviceRenderer: Send + Sync {
-    /// The light of `tables`, with what the model's surfaces send each other under it.
+    /// Prepares the light of `tables`, with the light that the model's surfaces send each other under it.
     ///
     /// # Errors
     /// When the device failed.
     fn prepare_light(&self, tables: &LightTables) -> Result<DeviceLight, DeviceError>;
 
-    /// Renders.
+    /// Renders `job` under `light`.
     ///
     /// # Errors
     /// [`DeviceError::Misuse`] for a light of another device, otherwise when the device failed.
     fn render(&self, job: &FrameJob<'_>, light: &DeviceLight) -> Result<Frame, DeviceError>;
 
-    /// Renders with light that is looked for along rays. `tree` gives the model's, which the device keeps; what it makes of
-    /// `rays` it keeps with `light`, so a light has one environment and one split of it.
+    /// Renders with light that is traced along rays. The device keeps the model's tree, which `tree` returns. It keeps the data
+    /// of `rays` with `light`, so a light has one environment and one split.
     ///
     /// # Errors
     /// As [`Self::render`].

@@ -1,5 +1,5 @@
-//! The seam between a renderer and the engine that makes its frames: a model on a device, lights prepared for it, and the
-//! frames that are shaded from tables of the light.
+//! Interface between a renderer and an engine: a model on a device, lights prepared for it, and frames shaded from light
+//! tables.
 
 use std::sync::{Arc, OnceLock};
 
@@ -8,7 +8,7 @@ use crate::{DeviceError, Frame, RayLight, cpu};
 use relume_scene::light::{LightTables, rendering_tables, split_tables, tables_of_split};
 use relume_scene::{Illumination, Model, ShadeAt};
 
-/// A model on its device. The CPU engine can render it beside any device, for tiers that only it has.
+/// A model on its device. The CPU engine always holds the model as well, for computations on the host.
 pub struct FrameRenderer {
     cpu: cpu::CpuFrameRenderer,
     device: Option<Box<dyn DeviceRenderer>>,
@@ -21,19 +21,19 @@ pub struct FrameLight {
 }
 
 impl FrameLight {
-    /// The light on the CPU engine, where it was prepared there.
+    /// The light on the CPU engine; `None` where another device prepared it.
     pub fn on_cpu(&self) -> Option<&cpu::CpuFrameLight> {
         self.cpu.get()
     }
 }
 
 impl FrameRenderer {
-    /// Takes a checked model in, for the CPU engine.
+    /// Prepares a checked model for the CPU engine.
     pub fn on_cpu_only(model: Arc<Model>) -> Self {
         Self { cpu: cpu::CpuFrameRenderer::new(model), device: None }
     }
 
-    /// Takes a checked model in that `device` holds too.
+    /// Wraps a checked model that `device` holds as well.
     pub fn beside(model: Arc<Model>, device: Box<dyn DeviceRenderer>) -> Self {
         Self { cpu: cpu::CpuFrameRenderer::new(model), device: Some(device) }
     }
@@ -43,7 +43,7 @@ impl FrameRenderer {
         self.cpu.model()
     }
 
-    /// Whether a device other than the CPU engine holds the model.
+    /// True when a device other than the CPU engine holds the model.
     pub fn has_device(&self) -> bool {
         self.device.is_some()
     }
@@ -53,7 +53,7 @@ impl FrameRenderer {
         &self.cpu
     }
 
-    /// Makes `light` ready for this model, light that bounces between its surfaces included.
+    /// Prepares `light` for this model, including interreflection between its surfaces.
     ///
     /// # Errors
     /// When the device failed.
@@ -65,7 +65,7 @@ impl FrameRenderer {
         })
     }
 
-    /// The light on the CPU engine, made of `source` where it was prepared on another device.
+    /// The light on the CPU engine; computed from `source` where another device prepared it.
     pub fn light_on_cpu<'a>(&self, light: &'a FrameLight, source: &Illumination) -> &'a cpu::CpuFrameLight {
         light.cpu.get_or_init(|| self.cpu.prepare_light(self.tables(source)))
     }
@@ -73,7 +73,7 @@ impl FrameRenderer {
     /// Renders on the device.
     ///
     /// # Errors
-    /// [`DeviceError::Misuse`] for a light that was prepared for another device, otherwise when the device failed.
+    /// [`DeviceError::Misuse`] for a light of another device, otherwise when the device failed.
     pub fn render(&self, job: &FrameJob<'_>, light: &FrameLight) -> Result<Frame, DeviceError> {
         match (&self.device, &light.device, light.cpu.get()) {
             (Some(device), Some(light), _) => device.render(job, light),
@@ -82,26 +82,27 @@ impl FrameRenderer {
         }
     }
 
-    /// Renders on a device other than the CPU engine with light that is looked for along `rays`, which are those of the
-    /// environment that `light` was prepared of.
+    /// Renders on the device with light that is traced along rays. `rays` must belong to the environment from which `light` was
+    /// prepared.
     ///
     /// # Errors
-    /// As [`Self::render`], and without such a device.
+    /// As [`Self::render`].
     pub fn render_by_rays(
         &self,
         job: &FrameJob<'_>,
         light: &FrameLight,
         rays: &RayLight<'_>,
     ) -> Result<Frame, DeviceError> {
-        let (Some(device), Some(light)) = (&self.device, &light.device) else {
-            return Err(DeviceError::Misuse(
-                "rays on a device: the light was prepared for another".to_owned(),
-            ));
-        };
-        device.render_by_rays(job, light, rays, &|| self.cpu.occluders().tree())
+        match (&self.device, &light.device, light.cpu.get()) {
+            (Some(device), Some(light), _) => {
+                device.render_by_rays(job, light, rays, &|| self.cpu.occluders().tree())
+            }
+            (None, None, Some(light)) => Ok(self.cpu.render_by_rays(job, light, rays)),
+            _ => Err(DeviceError::Misuse("the light was prepared for another device".to_owned())),
+        }
     }
 
-    /// Tables of the environment, and beside them the lights that cast a shadow each, where Gaussians are shaded.
+    /// Tables of the environment and, for models shaded at their Gaussians, its dominant lights.
     fn tables(&self, light: &Illumination) -> LightTables {
         let (environment, sh_degree) = (&light.environment, self.model().gaussians.visibility_degree());
         match (self.model().shading.shade_at, &light.split) {

@@ -1,4 +1,4 @@
-//! Gradients of a model's parameters, one row a Gaussian.
+//! Gradients of a model's parameters, one row per Gaussian.
 
 use rayon::prelude::*;
 
@@ -6,7 +6,7 @@ use crate::zeros;
 use relume_layout::channel::{self, OutgoingRadiance};
 use relume_scene::{Field, Gaussians};
 
-/// Where each field starts in a gradient row.
+/// Layout of a gradient row: the range of each field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RowLayout {
     offset: [usize; Field::COUNT],
@@ -16,13 +16,13 @@ pub struct RowLayout {
 }
 
 impl RowLayout {
-    /// The layout for Gaussians shaped like `g`.
+    /// The layout for Gaussians with the widths of `g`.
     pub fn new(g: &Gaussians) -> Self {
         Self::of(g, |_| true)
     }
 
-    /// The layout where only the first `count` channels of the G-buffer are differentiated: fields that none of them
-    /// depends on have no floats in a row.
+    /// The layout where only the first `count` channels of the G-buffer are differentiated. Fields that these channels do not
+    /// depend on have no floats in a row.
     pub fn differentiated(g: &Gaussians, count: usize) -> Self {
         Self::of(g, |field| match field {
             Field::Visibility | Field::Indirect => count >= channel::VISIBILITY,
@@ -59,16 +59,16 @@ impl RowLayout {
 pub struct Gradients {
     /// Layout of the rows.
     pub layout: RowLayout,
-    /// One row a Gaussian, `layout.row` floats.
+    /// One row of `layout.row` floats per Gaussian.
     pub rows: Vec<f32>,
-    /// By prototype, RGB.
+    /// Gradient by prototype, RGB.
     pub prototypes: Vec<[f32; 3]>,
-    /// By raw environment texel.
+    /// Gradient by raw environment texel.
     pub env_raw: Vec<[f32; 3]>,
-    /// Sum over pixels of the length of each one's gradient by the projected mean, in half image widths, per Gaussian
+    /// Per Gaussian, the sum over pixels of the length of each pixel's gradient by the projected mean, in half image widths
     /// (AbsGS's density signal).
     pub absgrad: Vec<f32>,
-    /// Gaussians that were on screen.
+    /// True for Gaussians that were on screen.
     pub visible: Vec<bool>,
 }
 
@@ -78,7 +78,7 @@ impl Gradients {
         Self::laid_out(g, RowLayout::new(g), texels)
     }
 
-    /// All zero, with rows of this layout.
+    /// All zero, with rows of layout `layout`.
     pub fn laid_out(g: &Gaussians, layout: RowLayout, texels: usize) -> Self {
         Self {
             layout,
@@ -90,13 +90,13 @@ impl Gradients {
         }
     }
 
-    /// The floats of Gaussian `i` in `field`; none where it was not differentiated.
+    /// The floats of Gaussian `i` in `field`; empty where the field was not differentiated.
     pub fn get(&self, field: Field, i: usize) -> &[f32] {
         let range = self.layout.range(field);
         &self.rows[i * self.layout.row..][range]
     }
 
-    /// The floats of Gaussian `i` in `field`, to be added to.
+    /// The floats of Gaussian `i` in `field`, mutable.
     pub fn get_mut(&mut self, field: Field, i: usize) -> &mut [f32] {
         let range = self.layout.range(field);
         &mut self.rows[i * self.layout.row..][range]

@@ -1,12 +1,12 @@
-//! The article's learned indirect light: low-frequency environment radiance seen through 16 weights (Eq. 19-20).
+//! The article's learned indirect light: low-frequency environment radiance combined by 16 weights (Eq. 19-20).
 
 use crate::probing::fibonacci_sphere;
 use relume_scene::light::{LightTables, sh_eval};
 
-/// Fixed directions the low-frequency environment is read in (article Eq. 20).
+/// Number of fixed directions in which the low-frequency environment is sampled (article Eq. 20).
 pub(crate) const INDIRECT_DIRECTIONS: usize = 32;
 
-/// `E_j` where indirect light is not learned: nothing.
+/// `E_j` where indirect light is not learned: zero.
 pub const NO_INDIRECT_BASIS: [[f32; 3]; 16] = [[0.0; 3]; 16];
 
 /// `E_j = 1/32 sum_k Y_j(w_k) L_low(w_k)` (Eq. 20) over 32 Fibonacci directions.

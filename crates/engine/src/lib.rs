@@ -1,7 +1,7 @@
-//! The differentiable renderer. `docs/MODEL.md` says what every engine computes; [`mod@reference`] computes it in f64,
-//! [`cpu`] fast on any machine, [`gpu`] on a graphics card.
+//! The differentiable renderer: [`cpu`] on any machine and, with the feature `gpu`, on a graphics card. `docs/MODEL.md`
+//! defines what both compute. The crate `relume-reference` computes the same in f64, for tests.
 //!
-//! [`Device`] opens an engine. [`TrainingEngine`] and [`FrameRenderer`] are all that a trainer and a renderer ask of it.
+//! [`Device`] opens an engine. A trainer uses [`TrainingEngine`], a renderer uses [`FrameRenderer`].
 
 pub mod adam;
 mod adapter;

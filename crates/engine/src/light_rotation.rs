@@ -1,48 +1,48 @@
-//! The light of a photograph against the light of the model: turned about +Z, as on a turntable.
+//! Rotation of a photograph's light about +Z relative to the model's light, as on a turntable.
 
 use std::f64::consts::TAU;
 
-/// Most turns that gathered light is measured for.
+/// Maximum number of rotations for which gathered light is measured.
 pub const MAX_LIGHT_ROTATIONS: usize = 16;
 
-/// How the light stood in one photograph.
+/// Rotation of the light in one photograph.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct LightRotation {
-    /// Turn of the environment about +Z, radians counter-clockwise seen from above.
+    /// Rotation of the environment about +Z, radians counter-clockwise seen from above.
     pub radians: f64,
-    /// Which of the measured blocks of gathered light belongs to it: an index into [`LightRotations::blocks`].
+    /// Block of gathered light that belongs to it: an index into [`LightRotations::blocks`].
     pub block: usize,
 }
 
-/// The turns that gathered light is measured for.
+/// The rotations for which gathered light is measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LightRotations {
-    /// Turns, radians in `[0, 2 pi)`, in order; never empty.
+    /// Rotations, radians in `[0, 2 pi)`, ascending; never empty.
     pub blocks: Vec<f64>,
-    /// Share of the photographs that each stands for; they add up to 1.
+    /// Share of the photographs per rotation; the shares add up to 1.
     pub shares: Vec<f32>,
 }
 
 impl Default for LightRotations {
-    /// A light that stands still.
+    /// One rotation of 0.
     fn default() -> Self {
         Self { blocks: vec![0.0], shares: vec![1.0] }
     }
 }
 
 impl LightRotations {
-    /// True where the light turns between photographs.
+    /// True where the light rotates between photographs.
     pub fn has_rotations(&self) -> bool {
         self.blocks.len() > 1
     }
 
-    /// True where no photograph's light is turned against the model's.
+    /// True where the light of every photograph has rotation 0.
     pub fn is_static(&self) -> bool {
         self.blocks == [0.0]
     }
 
-    /// The turns of photographs whose light is turned by `degrees`, and each photograph's place among them. Beyond
-    /// [`MAX_LIGHT_ROTATIONS`] different ones, gathered light is measured at multiples of a sixteenth of a full turn.
+    /// The rotations of photographs whose light is rotated by `degrees`, and the block of each photograph. Above
+    /// [`MAX_LIGHT_ROTATIONS`] different rotations, gathered light is measured at multiples of 1/16 of a full turn.
     pub fn of(degrees: &[f64]) -> (Self, Vec<LightRotation>) {
         let radians: Vec<f64> = degrees.iter().map(|d| d.rem_euclid(360.0).to_radians()).collect();
         let mut stands: Vec<f64> = radians.clone();

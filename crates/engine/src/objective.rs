@@ -1,4 +1,4 @@
-//! Weights of the objective (docs/MODEL.md section 5), as both engines take them; 0 leaves a term out.
+//! Weights of the objective (docs/MODEL.md, section 5) for both engines; 0 disables a term.
 
 use relume_scene::light::LightColour;
 
@@ -16,9 +16,9 @@ pub struct ImageWeights {
 pub struct SurfaceWeights {
     /// Coverage against the mask; zero for captures without masks.
     pub coverage: f32,
-    /// Depth-normal consistency; passes with normals only.
+    /// Depth-normal consistency; only for passes with normals.
     pub depth_normal: f32,
-    /// Smoothness (Eq. 32) of metalness, roughness and normal; passes with material only.
+    /// Smoothness (Eq. 32) of metalness, roughness and normal; only for passes with material.
     pub smoothness: [f32; 3],
 }
 
@@ -29,9 +29,9 @@ pub struct LightWeights {
     pub neutrality: f32,
     /// Exposure: the luminance of a white surface facing up.
     pub exposure: f32,
-    /// Colour of what falls on a surface facing up.
+    /// Colour of the irradiance of a surface facing up.
     pub colour: f32,
-    /// The colour that the term asks for.
+    /// Target of the colour term.
     pub wanted: LightColour,
 }
 
@@ -65,7 +65,7 @@ pub struct StepWeights {
     pub parameters: ParameterWeights,
 }
 
-/// What a texel of unit radiance, `(direction, solid angle in sr)`, adds to the irradiance of a surface facing up (+Z),
+/// Contribution of a texel of unit radiance, `(direction, solid angle in sr)`, to the irradiance of a surface facing up (+Z),
 /// divided by pi.
 pub fn upward_share((direction, solid_angle): &(glam::DVec3, f64)) -> f32 {
     (direction.z.max(0.0) * solid_angle / std::f64::consts::PI) as f32

@@ -1,5 +1,5 @@
-//! Transmittance probes as both engines measure them: their directions and how they keep clear of their own surface
-//! (docs/MODEL.md section 6).
+//! Transmittance probes of both engines: their directions, and their clearance from their own surface (docs/MODEL.md,
+//! section 6).
 
 use glam::Vec3;
 
@@ -18,11 +18,11 @@ pub fn fibonacci_sphere(n: usize) -> Vec<[f32; 3]> {
         .collect()
 }
 
-/// Angular radius up to which a light is as small as a point, radians.
+/// Angular radius up to which a light counts as a point, radians.
 const POINT: f32 = 0.5 * std::f32::consts::PI / 180.0;
 
-/// Directions over which the transmittance towards a light is averaged: its centre, and around it six of its disc where
-/// it is wide enough for a soft edge. Their mean square distance from the centre is that of the disc.
+/// Directions over which the transmittance towards a light is averaged: its centre and, for a light that is not a point, six
+/// directions of its disc around it. Their mean square distance from the centre is that of the disc.
 pub fn towards_light(light: &SplitLight) -> Vec<[f32; 3]> {
     let centre = light.direction;
     if !(light.radius > POINT) {
@@ -41,23 +41,23 @@ pub fn towards_light(light: &SplitLight) -> Vec<[f32; 3]> {
     std::iter::once(centre).chain(around).collect()
 }
 
-/// How a query keeps clear of the surface it starts from.
+/// Start point of a query and distances at which occluders count.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProbeSettings {
-    /// Start this many standard deviations along the outward normal.
+    /// Offset of the start along the outward normal, standard deviations.
     pub offset: f32,
-    /// Start this much further along the outward normal, world units.
+    /// Additional offset of the start along the outward normal, world units.
     pub lift: f32,
-    /// An occluder must be this many of its own standard deviations further along the direction.
+    /// Smallest distance of an occluder along the direction, in its own standard deviations.
     pub clearance: f32,
-    /// And this much besides, world units.
+    /// Addend to that distance, world units.
     pub bias: f32,
-    /// And no further than this, world units.
+    /// Largest distance of an occluder, world units.
     pub reach: f32,
 }
 
 impl ProbeSettings {
-    /// The settings a model is trained and rendered with.
+    /// The settings with which a model is trained and rendered.
     pub fn of(options: &ShadingOptions) -> Self {
         Self { reach: options.occluder_reach.unwrap_or(f32::INFINITY), ..Self::default() }
     }

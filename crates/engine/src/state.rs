@@ -1,4 +1,4 @@
-//! What a training has learned and measured so far, on the host.
+//! State of a training on the host: parameters, moments and measurements.
 
 use crate::density::DensityStats;
 use relume_scene::{Gaussians, MAX_LIGHTS, Model};
@@ -23,7 +23,7 @@ impl Moments {
         Self { first: zero.clone(), second: zero, globals: [globals.clone(), globals] }
     }
 
-    /// Moments of the Gaussians that survive density control; new ones (`None`) start from zero.
+    /// Keeps the moments of the Gaussians at `indices`; new Gaussians (`None`) get zero moments.
     pub fn gather(&mut self, indices: &[Option<usize>]) {
         let pick: Vec<usize> = indices.iter().map(|i| i.unwrap_or(0)).collect();
         for moments in [&mut self.first, &mut self.second] {
@@ -38,7 +38,7 @@ impl Moments {
     }
 }
 
-/// All that a training has learned and measured.
+/// State of a training: everything that it has learned and measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainState {
     /// The model.
@@ -49,21 +49,21 @@ pub struct TrainState {
     pub density: DensityStats,
     /// Probe labels, `[Gaussian][coefficient]`; empty before the first measurement.
     pub labels: Vec<f32>,
-    /// Gathered light: irradiance and blocked radiance, `[turn of the light][Gaussian][6]`; empty before the first
+    /// Gathered light: irradiance and blocked radiance, `[rotation of the light][Gaussian][6]`; empty before the first
     /// measurement.
     pub gathered: Vec<[f32; 6]>,
-    /// Share of each of the model's lights that arrives, `[Gaussian][light]`; empty before the first measurement, and then all
-    /// of it does.
+    /// Arriving share of each of the model's lights, `[Gaussian][light]`; empty, which means 1, before the first
+    /// measurement.
     pub arriving: Vec<[f32; MAX_LIGHTS]>,
 }
 
 impl TrainState {
-    /// Gathered light under one turn of the light, `[Gaussian]`; empty where it was not measured.
+    /// Gathered light under one rotation of the light, `[Gaussian]`; empty where it was not measured.
     pub fn gathered_in(&self, block: usize) -> &[[f32; 6]] {
         self.gathered.chunks(self.model.gaussians.len().max(1)).nth(block).unwrap_or(&[])
     }
 
-    /// Keeps the Gaussians of `indices` only, with their moments, statistics and measurements.
+    /// Keeps only the Gaussians at `indices`, with their moments, statistics and measurements.
     pub fn select(&mut self, indices: &[usize]) {
         let n = self.model.gaussians.len().max(1);
         let width = self.labels.len() / n;
@@ -86,7 +86,7 @@ impl TrainState {
         }
     }
 
-    /// The start from an initial model.
+    /// The start state of an initial model.
     pub fn new(model: Model) -> Self {
         Self {
             moments: Moments::zeroed(&model),

@@ -1,4 +1,4 @@
-//! One optimisation step as an engine is asked for it, and what it comes to.
+//! Input and result of one optimisation step.
 
 use crate::adam::{StepCounts, StepSizes};
 use crate::light_rotation::LightRotation;
@@ -11,15 +11,15 @@ use relume_scene::{Camera, Field, Gaussians, IndirectForm, ShadeAt, ShadingOptio
 pub struct Photo {
     /// Camera in the normalised world.
     pub camera: Camera,
-    /// Display-referred pixels over the background, row-major; none of a photograph that the device of a training holds.
+    /// Display-referred pixels over the background, row-major; empty for a photograph that the training's device holds.
     pub pixels: Vec<[f32; 3]>,
     /// Mask in [0, 1], row-major; empty when the capture has no masks.
     pub alpha: Vec<f32>,
-    /// How the light stood in it.
+    /// Rotation of its light.
     pub light: LightRotation,
 }
 
-/// Size at which photographs are trained on.
+/// Size of a photograph in training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum PhotoSize {
     /// Half the configured resolution.
@@ -28,14 +28,14 @@ pub enum PhotoSize {
     Full,
 }
 
-/// Names a photograph, so that a device can keep it in its memory.
+/// Identifies a photograph, so that a device can keep it in its memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct PhotoId {
     /// Index among the training photographs.
     pub index: usize,
     /// Its size.
     pub size: PhotoSize,
-    /// How often its pixels have changed.
+    /// Number of changes of its pixels.
     pub revision: usize,
 }
 
@@ -46,9 +46,9 @@ pub enum Branches {
     Radiance,
     /// Radiance branch, and depth-normal consistency.
     RadianceAndNormals,
-    /// Radiance and physically based branch; visibility is measured.
+    /// Radiance and physically based branch; visibility has no gradient, it is measured.
     Both,
-    /// Radiance and physically based branch; visibility has a gradient of its own.
+    /// Radiance and physically based branch; visibility has a gradient.
     BothWithVisibility,
 }
 
@@ -58,7 +58,7 @@ impl Branches {
         matches!(self, Self::Both | Self::BothWithVisibility)
     }
 
-    /// The channels a pass over `gaussians` needs. What is shaded at the Gaussians needs no visibility in the pixel.
+    /// The channels that a pass over `gaussians` needs. Models shaded at their Gaussians need no visibility in the pixel.
     pub fn channels(self, gaussians: &Gaussians, shading: &ShadingOptions) -> StepChannels {
         let full = Channels::Full(gaussians.width(Field::Visibility));
         let differentiated = match self {
@@ -77,11 +77,11 @@ impl Branches {
 pub struct Step<'a> {
     /// The photograph.
     pub photo: &'a Photo,
-    /// Its name.
+    /// Its identifier.
     pub photo_id: PhotoId,
-    /// What it was composited over, display-referred.
+    /// Background behind the photograph, display-referred.
     pub background: [f32; 3],
-    /// What trains.
+    /// The branches that train.
     pub branches: Branches,
     /// The objective.
     pub weights: StepWeights,
@@ -91,39 +91,39 @@ pub struct Step<'a> {
     pub counts: StepCounts,
 }
 
-/// What a step came to.
+/// Result of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepResult {
     /// The objective before the step.
     pub loss: f32,
-    /// Mean squared error of the leading branch: the physically based one where it trains.
+    /// Mean squared error of the leading branch: the physically based branch where it trains, else the radiance branch.
     pub mse: f32,
-    /// False when the objective or a gradient was not finite: the state must not be built on.
+    /// False when the objective or a gradient was not finite; training must not continue from that state.
     pub finite: bool,
 }
 
-/// What becomes of the visibility field when it is measured.
+/// Effect of a measurement on the visibility field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FieldUpdate {
-    /// It is replaced by the measurement.
+    /// The measurement replaces it.
     Replace,
-    /// It is replaced by the first measurement only.
+    /// Only the first measurement replaces it.
     Start,
-    /// It is left alone.
+    /// It is unchanged.
     Keep,
 }
 
-/// How visibility and gathered light are measured (docs/MODEL.md section 6).
+/// Settings of a measurement of visibility and gathered light (docs/MODEL.md, section 6).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProbeMeasurement<'a> {
     /// Probe directions.
     pub directions: usize,
-    /// Rounds of gathered light, 0 for none; nothing is gathered by a model that does not shade with it.
+    /// Bounces of gathered light, 0 for none. Models that do not shade with gathered light gather none.
     pub bounces: usize,
-    /// Turns of the light that light is gathered under, radians: a block of gathered light for each.
+    /// Rotations of the light, radians; each gets a block of gathered light.
     pub rotations: &'a [f64],
-    /// What the visibility field takes of it.
+    /// Effect on the visibility field.
     pub field: FieldUpdate,
-    /// Measurements in a row: each starts from the open side that the one before found.
+    /// Number of successive measurements; each starts from the open side that the previous one found.
     pub repeats: usize,
 }

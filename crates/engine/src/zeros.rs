@@ -1,9 +1,9 @@
-//! Large buffers, zeroed by all threads: whoever first touches a page pays for it, and one thread would keep the others
-//! waiting.
+//! Large zeroed buffers. All threads zero them: the first access to a page is expensive, and a single thread would make the
+//! others wait.
 
 use rayon::prelude::*;
 
-/// Floats a thread zeroes at once.
+/// Floats that a thread zeroes at once.
 const RUN: usize = 1024;
 
 /// `n` zeros.

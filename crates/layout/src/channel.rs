@@ -1,13 +1,13 @@
-//! What the channels of an attribute row and of the G-buffer carry: one definition for both engines. The build script
-//! compiles this file as well and generates the shaders' constants from it (`build/generated.rs`).
+//! Channels of an attribute row and of the G-buffer. Both engines use these definitions. The build script of `relume-engine`
+//! generates the shaders' constants from them (`build/generated.rs`).
 //!
-//! Order matters: a pass that needs fewer channels carries a prefix ([`Channels`]).
+//! The order matters: a pass that needs fewer channels carries the first ones ([`Channels`]).
 
 use std::ops::Range;
 
 /// Coverage: the channel whose attribute is 1.
 pub const COVERAGE: usize = 0;
-/// Colour of the radiance branch, display-referred; a pass of [`Channels::Colour`] blends any colour here.
+/// Colour of the radiance branch, display-referred. A pass of [`Channels::Colour`] may blend another colour here.
 pub const RADIANCE: Range<usize> = 1..4;
 /// World-space normal.
 pub const NORMAL: Range<usize> = 4..7;
@@ -24,11 +24,11 @@ pub const DEPTH: usize = 16;
 /// First visibility coefficient.
 pub const VISIBILITY: usize = 20;
 
-/// Radiance that leaves a surface for the camera, W/(m^2 sr), linear: the light in a row of a Gaussian that is shaded before
-/// it is blended (`ShadeAt::Gaussian`).
+/// Radiance that a surface sends to the camera, W/(m^2 sr), linear. Rows of Gaussians that are shaded before blending
+/// (`ShadeAt::Gaussian`) carry it.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct OutgoingRadiance {
-    /// Diffuse part of what leaves for the camera.
+    /// Diffuse part.
     pub diffuse: [f32; 3],
     /// Specular part.
     pub specular: [f32; 3],
@@ -37,12 +37,13 @@ pub struct OutgoingRadiance {
 impl OutgoingRadiance {
     /// Channels of [`Self::total`].
     pub const TOTAL: Range<usize> = 13..16;
-    /// Channels of [`Self::specular`]; zero in the passes of a training, which need no part by itself.
+    /// Channels of [`Self::specular`]; zero in training passes, which need the total alone.
     pub const SPECULAR: Range<usize> = 17..20;
-    /// In the gradient of a row, once that by [`Self::TOTAL`] has gone through the shading: the gradient by sheen.
+    /// Channel of a gradient row that holds the gradient by sheen, after the shading has consumed the gradient by
+    /// [`Self::TOTAL`].
     pub const SHEEN_GRADIENT: usize = Self::TOTAL.start;
 
-    /// Both parts together.
+    /// Sum of both parts.
     pub fn total(&self) -> [f32; 3] {
         std::array::from_fn(|c| self.diffuse[c] + self.specular[c])
     }
@@ -56,12 +57,12 @@ impl OutgoingRadiance {
     }
 }
 
-/// Light in a row of attributes that are blended and shaded in the pixel (`ShadeAt::Pixel`), linear.
+/// Light in a row of attributes that are blended first and shaded in the pixel (`ShadeAt::Pixel`), linear.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct IncidentLight {
     /// Irradiance gathered from other surfaces, W/m^2.
     pub gathered: [f32; 3],
-    /// Radiance from where the environment is blocked, W/(m^2 sr).
+    /// Radiance from directions in which the environment is blocked, W/(m^2 sr).
     pub blocked: [f32; 3],
 }
 
@@ -72,7 +73,7 @@ impl IncidentLight {
     pub const BLOCKED: Range<usize> = 17..20;
 }
 
-/// Which light a pass blends.
+/// Kind of light that a pass blends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RowLight {
     /// [`OutgoingRadiance`].
@@ -81,7 +82,7 @@ pub enum RowLight {
     Incident,
 }
 
-/// Channels that kernels take at once.
+/// Channels that a kernel processes at once.
 pub const GROUP: usize = 4;
 
 /// A group is a scalar and a triple, or a triple and a scalar: the shaders write groups as `vec4f` of those two.
@@ -94,7 +95,7 @@ const _: () = {
     assert!(IncidentLight::GATHERED.start == ROUGH + 1 && IncidentLight::BLOCKED.start == DEPTH + 1);
 };
 
-/// How many channels a pass carries: a prefix of the list above.
+/// The channels of a pass: the first ones of the list above.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Channels {
     /// Coverage and one colour: the radiance branch alone, or the preview tier.
@@ -103,7 +104,7 @@ pub enum Channels {
     Geometry,
     /// Also material and the first triple of light: the usual training.
     Material,
-    /// Everything, visibility of this many coefficients included.
+    /// All channels, with this number of visibility coefficients.
     Full(usize),
 }
 
@@ -127,8 +128,8 @@ impl Channels {
 /// Channels of a training step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StepChannels {
-    /// Those that are blended.
+    /// Channels that are blended.
     pub blended: Channels,
-    /// Those of them that the backward pass carries.
+    /// The blended channels that the backward pass carries.
     pub differentiated: Channels,
 }

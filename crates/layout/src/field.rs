@@ -1,7 +1,7 @@
-//! The parameters of a Gaussian. The build script compiles this file as well and generates the shaders' parameter layout from
-//! it (`build/generated.rs`).
+//! The parameters of a Gaussian. The build script of `relume-engine` generates the shaders' parameter layout from them
+//! (`build/generated.rs`).
 
-/// One per-Gaussian parameter array. The discriminant indexes every per-field table in the crate.
+/// One per-Gaussian parameter array. The discriminant indexes every per-field table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(usize)]
 pub enum Field {
@@ -19,7 +19,7 @@ pub enum Field {
     MetalLogit,
     /// Roughness before the sigmoid (1).
     RoughLogit,
-    /// Sheen: natural logarithm of the diffuse term's gain at grazing view, 0 for none (1).
+    /// Sheen: natural logarithm of the diffuse term's gain at grazing view; 0 is no sheen (1).
     Sheen,
     /// Prototype scores before the softmax (K).
     ProtoLogits,
@@ -33,21 +33,21 @@ pub enum Field {
     Radiance,
 }
 
-/// How many floats a Gaussian has in a field.
+/// Number of floats of a Gaussian in a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FieldWidth {
     /// The same for every model.
     Fixed(usize),
-    /// One a prototype.
+    /// One float per prototype.
     Prototypes,
-    /// One an SH coefficient of the visibility.
+    /// One float per SH coefficient of the visibility.
     Visibility,
-    /// Three an SH coefficient of the radiance.
+    /// Three floats per SH coefficient of the radiance.
     Radiance,
 }
 
 impl Field {
-    /// How many floats a Gaussian has in it.
+    /// Number of floats of a Gaussian in this field.
     pub const fn width(self) -> FieldWidth {
         match self {
             Self::Mean | Self::LogScale | Self::Normal | Self::Residual => FieldWidth::Fixed(3),
@@ -98,7 +98,7 @@ impl Field {
             Self::Radiance => "radiance_sh",
         }
     }
-    /// The name its place has in the shaders' parameter layout.
+    /// The name of the field in the shaders' parameter layout.
     pub fn kernel_name(self) -> &'static str {
         match self {
             Self::Mean => "mean",

@@ -1,36 +1,36 @@
-//! Numbers that the host and the kernels agree on and that nothing else uses. The build script compiles this file as well
-//! and generates the shaders' constants from it (`build/generated.rs`).
+//! Constants that the host side of the GPU engine shares with its kernels. The build script of `relume-engine` generates the
+//! shaders' constants from them (`build/generated.rs`).
 
-/// Floats of a splat gradient row in front of the channels: mean x, y, conic xx, xy, yy, opacity, absgrad, unused.
+/// Floats of a splat gradient row before the channels: mean x, y, conic xx, xy, yy, opacity, absgrad, unused.
 pub const GRADIENT_HEADER: usize = 8;
-/// Elements a workgroup of the prefix sum takes.
+/// Elements per workgroup of the prefix sum.
 pub const SCAN_BLOCK: usize = 1024;
-/// Elements a workgroup of the radix sort takes.
+/// Elements per workgroup of the radix sort.
 pub const SORT_BLOCK: usize = 2048;
 
-/// [`relume_scene::NormalForm::Free`].
+/// `relume_scene::NormalForm::Free`.
 pub const NORMAL_FREE: u32 = 0;
-/// [`relume_scene::NormalForm::ShortestAxis`].
+/// `relume_scene::NormalForm::ShortestAxis`.
 pub const NORMAL_SHORTEST_AXIS: u32 = 1;
-/// [`relume_scene::IndirectForm::Off`].
+/// `relume_scene::IndirectForm::Off`.
 pub const INDIRECT_OFF: u32 = 0;
-/// [`relume_scene::IndirectForm::Learned`].
+/// `relume_scene::IndirectForm::Learned`.
 pub const INDIRECT_LEARNED: u32 = 1;
-/// [`relume_scene::IndirectForm::Gathered`].
+/// `relume_scene::IndirectForm::Gathered`.
 pub const INDIRECT_GATHERED: u32 = 2;
-/// [`relume_scene::VisibilityForm::Off`].
+/// `relume_scene::VisibilityForm::Off`.
 pub const VISIBILITY_OFF: u32 = 0;
-/// [`relume_scene::VisibilityForm::Linear`].
+/// `relume_scene::VisibilityForm::Linear`.
 pub const VISIBILITY_LINEAR: u32 = 1;
-/// [`relume_scene::VisibilityForm::Sigmoid`].
+/// `relume_scene::VisibilityForm::Sigmoid`.
 pub const VISIBILITY_SIGMOID: u32 = 2;
-/// [`relume_scene::DiffuseForm::AmbientOcclusion`].
+/// `relume_scene::DiffuseForm::AmbientOcclusion`.
 pub const DIFFUSE_AMBIENT_OCCLUSION: u32 = 0;
-/// [`relume_scene::DiffuseForm::Directional`].
+/// `relume_scene::DiffuseForm::Directional`.
 pub const DIFFUSE_DIRECTIONAL: u32 = 1;
-/// [`relume_scene::ShadeAt::Pixel`].
+/// `relume_scene::ShadeAt::Pixel`.
 pub const SHADE_AT_PIXEL: u32 = 0;
-/// [`relume_scene::ShadeAt::Gaussian`].
+/// `relume_scene::ShadeAt::Gaussian`.
 pub const SHADE_AT_GAUSSIAN: u32 = 1;
 
 /// Elements of the status buffer.
@@ -38,8 +38,7 @@ pub const STATUS_WORDS: usize = 4;
 /// Floats of a losses buffer; the caller clears it before the first term of a step.
 pub const LOSS_SLOTS: usize = 16;
 
-/// A slot of the losses buffer. Image slots hold means without weight; the others carry their weight already and are their
-/// share of the objective.
+/// A slot of the losses buffer. Image slots hold unweighted means. The other slots hold weighted terms of the objective.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(usize)]
 pub enum LossSlot {

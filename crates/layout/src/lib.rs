@@ -1,5 +1,7 @@
-//! Numbers and layouts that the host and the shaders of Relume share. The build script of `relume-engine` turns them into
-//! WGSL, so that no number is written twice. No dependency.
+//! Constants and data layouts that the host and the shaders share.
+//!
+//! The build script of `relume-engine` depends on this crate and turns it into WGSL, so that each number is written once. The
+//! crate has no dependencies and no behaviour.
 
 pub mod channel;
 pub mod constants;

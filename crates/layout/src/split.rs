@@ -1,30 +1,30 @@
-//! Strong small lights of an environment, and which share of each texel belongs to them. The build script compiles this file
-//! as well and generates the shaders' constants from it (`build/generated.rs`).
+//! The split of an environment into dominant lights (strong and small) and the rest. The build script of `relume-engine`
+//! generates the shaders' constants from it (`build/generated.rs`).
 
-/// Most lights that are taken out of an environment.
+/// Maximum number of dominant lights of an environment.
 pub const MAX_LIGHTS: usize = 4;
 
-/// A light far away and small.
+/// A distant small light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SplitLight {
     /// Unit direction towards it.
     pub direction: [f32; 3],
-    /// Angular radius of a disc as spread out as it is, radians.
+    /// Angular radius of a disc with the same angular spread, radians.
     pub radius: f32,
 }
 
-/// How an environment is divided between a few lights and the rest. What a light sends is the sum of its shares.
+/// The split of an environment into dominant lights and the rest. A light's irradiance is the sum of its shares of texels.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct LightSplit {
-    /// At most [`MAX_LIGHTS`]; none: the environment is whole.
+    /// At most [`MAX_LIGHTS`]; empty where the environment is not split.
     pub lights: Vec<SplitLight>,
-    /// By texel, row-major: the share of its radiance that belongs to each light, 0 to 1 and together at most 1; 0 beyond
-    /// the last light. Empty without lights.
+    /// Per texel, row-major: the share of its radiance that belongs to each light, each 0 to 1, their sum at most 1; 0
+    /// beyond the last light. Empty without lights.
     pub shares: Vec<[f32; MAX_LIGHTS]>,
 }
 
 impl LightSplit {
-    /// True when nothing is taken out.
+    /// True where the split has no light.
     pub fn is_empty(&self) -> bool {
         self.lights.is_empty()
     }
@@ -34,7 +34,7 @@ impl LightSplit {
         self.shares.get(i).map_or(1.0, |m| (1.0 - m.iter().sum::<f32>()).clamp(0.0, 1.0))
     }
 
-    /// What is wrong with it for an environment of `texels` texels, if anything.
+    /// The first error of the split for an environment of `texels` texels; `None` for a valid one.
     pub fn fault(&self, texels: usize) -> Option<&'static str> {
         let unit = |d: [f32; 3]| (d.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-3;
         let is_light = |l: &SplitLight| unit(l.direction) && (0.0..=1.6).contains(&l.radius);

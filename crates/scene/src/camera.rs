@@ -1,5 +1,5 @@
-//! Pinhole cameras. Inside Relume every camera uses OpenCV axes (x right, y down, z forward) and stores
-//! world-to-camera; nerfstudio, Blender and, where nothing else is said, the API use camera-to-world in OpenGL axes.
+//! Pinhole cameras. Inside Relume every camera uses OpenCV axes (x right, y down, z forward) and stores world-to-camera.
+//! nerfstudio, Blender and, by default, the API use camera-to-world in OpenGL axes.
 
 use glam::{DMat3, DMat4, DQuat, DVec3};
 
@@ -26,7 +26,7 @@ pub struct Camera {
 
 /// Accepted focal lengths, pixels: 179.99999 degrees on one pixel to a thousandth of a second of arc on 8k.
 const FOCAL_LENGTHS: std::ops::RangeInclusive<f64> = 1e-7..=1e13;
-/// Farthest a principal point may lie from the image's corner, pixels.
+/// Largest distance of a principal point from the image's corner, pixels.
 const MAX_PRINCIPAL_POINT: f64 = 1e9;
 
 /// Why a camera was refused. `field` is the caller's name of the value at fault.
@@ -100,7 +100,7 @@ impl Camera {
     /// From a pose as COLMAP writes it in `images.txt`: `x_cam = R(q) x_world + t`, the quaternion as w, x, y, z of any length.
     ///
     /// # Errors
-    /// Names `qvec` or `tvec` when they are no pose, or an intrinsic out of range.
+    /// Names `qvec` or `tvec` when they define no pose, or the intrinsic that is out of range.
     pub fn from_colmap(
         [w, x, y, z]: [f64; 4],
         tvec: [f64; 3],
@@ -115,7 +115,7 @@ impl Camera {
         if !tvec.iter().all(|v| v.is_finite()) {
             return Err(CameraError::new("tvec", "has a value that is not finite"));
         }
-        // Divided by the largest first: the square of what is very long would overflow.
+        // The largest component divides first: the square of a very long quaternion would overflow.
         let q = (DQuat::from_xyzw(x, y, z, w) * (1.0 / largest)).normalize();
         let (rotation, translation) = (DMat3::from_quat(q), DVec3::from(tvec));
         Self { width, height, fx, fy, cx, cy, rotation, translation }.validated()
@@ -139,7 +139,7 @@ impl Camera {
         let forward = (target - eye).try_normalize();
         let forward =
             forward.ok_or_else(|| CameraError::new("target", "coincides with eye or is not finite"))?;
-        // A view along the up axis leaves roll undefined: any perpendicular will do, if it is always the same.
+        // A view along the up axis leaves roll undefined: any perpendicular axis serves, provided it is always the same.
         let right = forward.cross(up).try_normalize().unwrap_or_else(|| forward.any_orthonormal_vector());
         let down = forward.cross(right);
         let rotation = DMat3::from_cols(right, down, forward).transpose();
@@ -157,7 +157,7 @@ impl Camera {
         .validated()
     }
 
-    /// The camera itself when every field is usable.
+    /// The camera unchanged, when every field is valid.
     ///
     /// # Errors
     /// Names the first field that is not finite, not positive where it must be, or out of range.
@@ -253,7 +253,7 @@ impl Camera {
     }
 }
 
-/// A camera-to-world matrix in OpenGL axes from one in OpenCV axes, and the other way: y and z change sign.
+/// Converts a camera-to-world matrix between OpenGL and OpenCV axes, in either direction: y and z change sign.
 fn between_axes(c2w: &DMat4) -> DMat4 {
     DMat4::from_cols(c2w.x_axis, -c2w.y_axis, -c2w.z_axis, c2w.w_axis)
 }

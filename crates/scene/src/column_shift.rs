@@ -1,10 +1,10 @@
-//! A turn of an equirectangular environment about +Z: its columns move along by a fraction of their number.
+//! Rotation of an equirectangular environment about +Z, as a circular shift of its columns.
 
 use std::borrow::Cow;
 use std::f64::consts::TAU;
 
-/// How far the columns of an environment move when it turns: a texel of the turned map is the mean of two neighbours of
-/// the map as it was, `(1 - fraction) L[x + whole] + fraction L[x + whole + 1]`, columns counted round.
+/// The column shift of a rotated environment. A texel of the rotated map interpolates two neighbours of the original map:
+/// `(1 - fraction) L[x + whole] + fraction L[x + whole + 1]`, columns modulo the width.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ColumnShift {
     width: usize,
@@ -13,35 +13,35 @@ pub struct ColumnShift {
 }
 
 impl ColumnShift {
-    /// The turn of maps of `width` columns by `radians` counter-clockwise, seen from above.
+    /// The shift that rotates maps of `width` columns by `radians`, counter-clockwise seen from above.
     pub fn new(radians: f64, width: usize) -> Self {
         let columns = (radians / TAU).rem_euclid(1.0) * width as f64;
         let whole = columns.floor();
         Self { width, whole: whole as usize % width.max(1), fraction: (columns - whole) as f32 }
     }
 
-    /// Columns moved along, a whole number below the width, and the fraction of a column beside it, 0 to 1.
+    /// Whole columns of the shift, below the width, and its fraction of a column, 0 to 1.
     pub fn columns(&self) -> (usize, f32) {
         (self.whole, self.fraction)
     }
 
-    /// True where the map stays as it is.
+    /// True where the shift is 0.
     pub fn is_none(&self) -> bool {
         self.whole == 0 && self.fraction == 0.0
     }
 
-    /// `R L`: the row-major map `texels`, turned.
+    /// `R L`: the row-major map `texels`, rotated.
     pub fn apply<'a>(&self, texels: &'a [[f32; 3]]) -> Cow<'a, [[f32; 3]]> {
         self.mixed(texels, self.whole, self.whole + 1)
     }
 
-    /// `R^T g`: the gradient of the map from that of the turned map.
+    /// `R^T g`: the gradient of the original map from that of the rotated map.
     pub fn apply_transposed<'a>(&self, gradient: &'a [[f32; 3]]) -> Cow<'a, [[f32; 3]]> {
         let back = 2 * self.width - self.whole;
         self.mixed(gradient, back, back - 1)
     }
 
-    /// Of each row, the mix of the columns at offsets `near` and `far`.
+    /// For each row, the interpolation of the columns at offsets `near` and `far`.
     fn mixed<'a>(&self, texels: &'a [[f32; 3]], near: usize, far: usize) -> Cow<'a, [[f32; 3]]> {
         if self.is_none() {
             return Cow::Borrowed(texels);

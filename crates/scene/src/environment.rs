@@ -51,7 +51,7 @@ pub enum EnvMapError {
 /// Largest accepted radiance: sums over the whole sphere stay finite in f32, with up to 20 stops of exposure.
 pub const MAX_RADIANCE: f32 = 1e30;
 
-/// What [`EnvMap::new`] corrected.
+/// Corrections that [`EnvMap::new`] made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct EnvMapStats {
     /// Colour values below zero that were set to zero.
@@ -149,7 +149,7 @@ impl EnvMap {
     #[must_use]
     pub fn resampled(&self, width: usize, height: usize) -> Self {
         let columns = overlaps(self.width, width, |i, n| i as f64 / n as f64);
-        // Rows weigh by the sphere's area between their edges: cos is that area's antiderivative.
+        // Rows are weighted by the sphere's area between their edges: cos is that area's antiderivative.
         let rows = overlaps(self.height, height, |i, n| 0.5 - 0.5 * (PI * i as f64 / n as f64).cos());
         let mut texels = Vec::with_capacity(width * height);
         for row in &rows {
@@ -179,7 +179,7 @@ impl EnvMap {
     }
 }
 
-/// For each of `to` cells, the `from` cells it overlaps and by how much; `edge(i, n)` maps cell edges to [0, 1].
+/// For each of `to` cells, the `from` cells it overlaps with their overlaps; `edge(i, n)` maps cell edges to [0, 1].
 fn overlaps(from: usize, to: usize, edge: impl Fn(usize, usize) -> f64) -> Vec<Vec<(usize, f64)>> {
     let overlap = |a: usize, b: usize| {
         let lo = edge(a, to).max(edge(b, from));

@@ -19,7 +19,8 @@ pub struct Gaussians {
 }
 
 impl Gaussians {
-    /// `len` zeroed Gaussians with K = `prototypes`, visibility order L and radiance order d.
+    /// `len` zeroed Gaussians with K = `prototypes`, visibility of degree `visibility_degree` and radiance of degree
+    /// `radiance_degree`.
     pub fn zeroed(len: usize, prototypes: usize, visibility_degree: usize, radiance_degree: usize) -> Self {
         let mut out = Self { len, prototypes, visibility_degree, radiance_degree, data: Default::default() };
         for field in Field::ALL {
@@ -38,7 +39,7 @@ impl Gaussians {
         self.len == 0
     }
 
-    /// Number of albedo prototypes K a Gaussian mixes.
+    /// Number K of albedo prototypes.
     pub fn prototypes(&self) -> usize {
         self.prototypes
     }
@@ -53,7 +54,7 @@ impl Gaussians {
         self.radiance_degree
     }
 
-    /// Floats a Gaussian has in `field`.
+    /// Floats per Gaussian in `field`.
     pub fn width(&self, field: Field) -> usize {
         match field.width() {
             FieldWidth::Fixed(floats) => floats,
@@ -68,7 +69,7 @@ impl Gaussians {
         &self.data[field as usize]
     }
 
-    /// The whole array of `field`, to be written.
+    /// The whole array of `field`, mutable.
     pub fn field_mut(&mut self, field: Field) -> &mut [f32] {
         &mut self.data[field as usize]
     }
@@ -85,7 +86,7 @@ impl Gaussians {
         &self.data[field as usize][i * w..(i + 1) * w]
     }
 
-    /// The floats of Gaussian `i` in `field`, to be written.
+    /// The floats of Gaussian `i` in `field`, mutable.
     pub fn row_mut(&mut self, field: Field, i: usize) -> &mut [f32] {
         let w = self.width(field);
         &mut self.data[field as usize][i * w..(i + 1) * w]
@@ -98,7 +99,7 @@ impl Gaussians {
         out
     }
 
-    /// A copy holding the Gaussians named by `indices`, in that order; an index may repeat.
+    /// A copy of the Gaussians at `indices`, in that order; an index may repeat.
     #[must_use]
     pub fn gathered(&self, indices: &[usize]) -> Self {
         let mut out = Self { len: indices.len(), data: Default::default(), ..*self };
@@ -109,8 +110,8 @@ impl Gaussians {
         out
     }
 
-    /// The same with other coefficients of radiance, of degree `sh_degree`: `3 (sh_degree + 1)^2` a Gaussian, zeros where
-    /// `coefficients` has fewer.
+    /// The same Gaussians with other radiance coefficients, of degree `sh_degree`: `3 (sh_degree + 1)^2` per Gaussian. Zeros
+    /// fill up where `coefficients` has fewer.
     #[must_use]
     pub fn with_radiance(mut self, sh_degree: usize, mut coefficients: Vec<f32>) -> Self {
         self.radiance_degree = sh_degree;

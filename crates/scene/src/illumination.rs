@@ -6,13 +6,14 @@ use crate::column_shift::ColumnShift;
 use crate::light::luminance;
 use crate::{EnvMap, LightSplit, MAX_LIGHTS, SplitLight};
 
-/// An environment map and, where a training found them, its strong small lights. The lights turn with the map, so that a
-/// recovered light keeps its split at every rotation and exposure.
+/// An environment map and, where a training found them, its dominant lights. The lights rotate with the map, so a recovered
+/// light keeps its split at every rotation and exposure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Illumination {
     /// The map.
     pub environment: EnvMap,
-    /// Which share of each texel belongs to which light. `None`: not known; a renderer finds the lights where it needs them.
+    /// Shares of the texels per light. `None` where they are not known: a renderer then finds the lights itself where it needs
+    /// them.
     pub split: Option<LightSplit>,
 }
 
@@ -24,8 +25,8 @@ impl Illumination {
         Self { environment: self.environment.rotated_and_scaled(degrees, gain), split }
     }
 
-    /// The light with its map reduced to `rows` rows where it has more. A split belongs to the texels of one size, so a light
-    /// that has one keeps its map.
+    /// The light with its map reduced to at most `rows` rows. A split is defined per texel, so a light with a split keeps the
+    /// size of its map.
     #[must_use]
     pub fn with_at_most_rows(self, rows: usize) -> Self {
         match self.split {
@@ -53,7 +54,7 @@ impl From<&Self> for Illumination {
     }
 }
 
-/// The split of `map` once it is rotated: each light's radiance moves along the columns as the map's does.
+/// The split of the rotated `map`: each light's radiance shifts along the columns as the map's does.
 fn rotated(split: &LightSplit, map: &EnvMap, degrees: f64) -> LightSplit {
     let turn = ColumnShift::new(degrees.to_radians(), map.width());
     if split.is_empty() || turn.is_none() {

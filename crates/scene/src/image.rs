@@ -35,8 +35,8 @@ impl ImageRgba {
         Self::reduced((self.width, self.height), (width, height), |i| self.pixels[i])
     }
 
-    /// The image of `stored` size whose `i`-th pixel, row-major and with straight alpha, is `pixel(i)`, reduced to `size` by
-    /// area averaging with premultiplied alpha. It needs no memory but for what it returns.
+    /// The image of size `stored` whose `i`-th pixel, row-major and with straight alpha, is `pixel(i)`, reduced to `size` by
+    /// area averaging with premultiplied alpha. The function allocates the returned image only.
     #[must_use]
     pub fn reduced(
         stored: (u32, u32),
@@ -69,7 +69,7 @@ impl<const C: usize> Plane<C> {
     }
 }
 
-/// Means of `value(i)` of an image of size `from` over the cells of one of size `to`, row-major.
+/// Means of the values `value(i)` of an image of size `from` over the cells of an image of size `to`, row-major.
 fn averaged<const C: usize>(
     from: (u32, u32),
     to: (u32, u32),

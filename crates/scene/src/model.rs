@@ -101,7 +101,7 @@ pub struct ShadingOptions {
 }
 
 impl ShadingOptions {
-    /// Whether surfaces are shaded with lights that cast shadows of their own.
+    /// True where shading uses dominant lights, each with its own shadow.
     pub fn shades_lights(&self) -> bool {
         self.shade_at == ShadeAt::Gaussian && self.visibility != VisibilityForm::Off
     }
@@ -123,19 +123,19 @@ impl Default for ShadingOptions {
     }
 }
 
-/// A view that is near to photographs: elsewhere, what was not photographed may hide the scene. Capture units.
+/// A view near the photographs, capture units. From elsewhere, parts that no photograph shows may hide the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Framing {
-    /// Where the camera stands.
+    /// Position of the camera.
     pub eye: DVec3,
-    /// What it looks at.
+    /// The point it looks at.
     pub target: DVec3,
     /// Field of view of a square picture, degrees.
     pub fov_deg: f64,
 }
 
 impl Framing {
-    /// The same if it is a view.
+    /// The framing if it defines a view, else `None`.
     pub fn checked(self) -> Option<Self> {
         let distance = (self.eye - self.target).length();
         let is_view = distance.is_finite() && distance > 0.0 && self.fov_deg > 0.0 && self.fov_deg < 180.0;
@@ -156,17 +156,18 @@ pub struct Model {
     pub env_width: usize,
     /// Rows of the environment.
     pub env_height: usize,
-    /// Strong small lights of that environment whose shadows are measured one by one.
+    /// Dominant lights of that environment; each has its own measured shadow.
     pub lights: LightSplit,
-    /// The forward model these parameters were fitted under.
+    /// The options of the forward model with which the parameters were trained.
     pub shading: ShadingOptions,
     /// Capture to model: `x_model = scale * (x_capture + offset)`.
     pub world_scale: f64,
     /// See `world_scale`; capture units.
     pub world_offset: DVec3,
-    /// How photographs without masks show the scene; absent where masks cut the subject out, which lies in the unit ball then.
+    /// A view of the scene from photographs without masks. `None` where masks isolate the object, which then lies in the unit
+    /// ball.
     pub framing: Option<Framing>,
-    /// What was trained, how, and what was decided on what evidence (the model card).
+    /// The model card: the training's input, settings and decisions with their evidence.
     pub card: serde_json::Value,
 }
 
@@ -191,14 +192,14 @@ impl Model {
         }
     }
 
-    /// The light of the photographs, with the small lights that the training found in it.
+    /// The light of the photographs, with the dominant lights that the training found in it.
     pub fn recovered_light(&self) -> Illumination {
         let split = (!self.lights.is_empty()).then(|| self.lights.clone());
         Illumination { environment: self.environment(), split }
     }
 
-    /// False for a model of colour alone, by its card: trained as one, or imported from a file without materials. It
-    /// cannot be relit.
+    /// False for a model of colour alone, according to its card: trained as one, or imported from a file without materials.
+    /// Such a model cannot be relit.
     pub fn has_materials(&self) -> bool {
         let warm_up = self.card.pointer("/config/warm_up").and_then(serde_json::Value::as_f64);
         let imported = self.card.pointer("/imported/materials").and_then(serde_json::Value::as_bool);

@@ -13,10 +13,12 @@ pub enum Output {
     /// World-space unit normal; zero where nothing is (3).
     Normal,
     /// Metalness (1).
+    #[serde(alias = "metalness")]
     Metallic,
     /// Roughness (1).
     Roughness,
     /// Ambient occlusion, 1 = open (1).
+    #[serde(alias = "ao", alias = "ambient_occlusion")]
     Visibility,
     /// Distance along the view axis, capture units; infinite where nothing is (1).
     Depth,

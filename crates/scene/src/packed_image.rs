@@ -1,10 +1,10 @@
-//! Photographs as they stay in memory: integers of 8 or 16 bits a channel, decoded when they are read.
+//! Photographs in memory: integers of 8 or 16 bits per channel, decoded on each read.
 
 use std::sync::Arc;
 
 use crate::ImageRgba;
 
-/// Bits of a channel.
+/// Bits per channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BitDepth {
     /// Levels of 1/255.
@@ -15,7 +15,7 @@ pub enum BitDepth {
 
 /// A display-referred image with 3 channels where it is opaque and 4 elsewhere. A clone shares the pixels.
 ///
-/// A value that is a level of its depth, as those of an image file are, comes back bit for bit.
+/// A value that is a level of the bit depth, as every value of an image file is, round-trips exactly.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PackedImage {
     /// Width in pixels.
@@ -34,7 +34,7 @@ enum Samples {
     Rgba16(Arc<[[u16; 4]]>),
 }
 
-/// The value of each level of 8 bits.
+/// The value of each 8-bit level.
 const LEVELS8: [f32; 256] = {
     let mut levels = [0.0; 256];
     let mut i = 0;
@@ -45,12 +45,12 @@ const LEVELS8: [f32; 256] = {
     levels
 };
 
-/// The nearest level of 8 bits; NaN is 0.
+/// The nearest 8-bit level; NaN becomes 0.
 fn level8(v: f32) -> u8 {
     (v * 255.0).round() as u8
 }
 
-/// The nearest level of 16 bits; NaN is 0.
+/// The nearest 16-bit level; NaN becomes 0.
 fn level16(v: f32) -> u16 {
     (v * 65_535.0).round() as u16
 }
@@ -64,7 +64,7 @@ fn value16(level: u16) -> f32 {
 }
 
 impl PackedImage {
-    /// `image` rounded to levels of `depth`, clamped to [0, 1]. It is opaque where every alpha rounds to 1.
+    /// `image` clamped to [0, 1] and rounded to levels of `depth`. The result is opaque where every alpha rounds to 1.
     pub fn new(image: &ImageRgba, depth: BitDepth) -> Self {
         let is_opaque = match depth {
             BitDepth::Eight => image.pixels.iter().all(|p| level8(p[3]) == u8::MAX),
@@ -84,7 +84,7 @@ impl PackedImage {
         Self { width: image.width, height: image.height, samples }
     }
 
-    /// Bits of a channel.
+    /// Bits per channel.
     pub fn depth(&self) -> BitDepth {
         match self.samples {
             Samples::Rgb8(_) | Samples::Rgba8(_) => BitDepth::Eight,
@@ -112,7 +112,7 @@ impl PackedImage {
         self.len() == 0
     }
 
-    /// Bytes of memory that the pixels take, all clones together.
+    /// Bytes of memory of the pixels, which all clones share.
     pub fn bytes(&self) -> usize {
         match &self.samples {
             Samples::Rgb8(pixels) => size_of_val(&pixels[..]),
@@ -122,7 +122,7 @@ impl PackedImage {
         }
     }
 
-    /// True when both are clones of one image, whose pixels are in memory once.
+    /// True when both are clones of one image and share its pixels.
     pub fn shares_pixels_with(&self, other: &Self) -> bool {
         match (&self.samples, &other.samples) {
             (Samples::Rgb8(a), Samples::Rgb8(b)) => Arc::ptr_eq(a, b),
@@ -144,7 +144,7 @@ impl PackedImage {
         }
     }
 
-    /// All pixels in order, as [`Self::pixel`] has them.
+    /// All pixels in row-major order, each as from [`Self::pixel`].
     pub fn pixels(&self) -> impl ExactSizeIterator<Item = [f32; 4]> + '_ {
         (0..self.len()).map(|i| self.pixel(i))
     }
@@ -159,8 +159,8 @@ impl PackedImage {
         ImageRgba { width: self.width, height: self.height, pixels: self.pixels().collect() }
     }
 
-    /// The image reduced to `width` x `height` by area averaging with premultiplied alpha, at the same depth. It shares its
-    /// pixels with this one where that is its size.
+    /// The image reduced to `width` x `height` by area averaging with premultiplied alpha, at the same depth. At
+    /// this image's own size the result shares its pixels.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
         if (width, height) == (self.width, self.height) {
@@ -180,7 +180,7 @@ mod tests {
     use super::*;
     use relume_compare::{largest_difference, worst};
 
-    /// One row whose red is every level of `levels`, with an alpha of one level less than whole in the first pixel if asked for.
+    /// One row whose red is every level of `levels`, and, if `transparent`, an alpha one level below 1 in the first pixel.
     fn ramp(levels: u32, transparent: bool) -> ImageRgba {
         let last = (levels - 1) as f32;
         let value = |n: u32| n as f32 / last;

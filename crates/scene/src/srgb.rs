@@ -15,7 +15,7 @@ pub fn decode(encoded: f32) -> f32 {
 }
 
 fn unit(x: f32) -> f32 {
-    // Not `clamp`, which lets NaN through.
+    // Not `clamp`, which keeps NaN.
     if x > 0.0 { x.min(1.0) } else { 0.0 }
 }
 
@@ -24,19 +24,19 @@ pub fn to_u8(x: f32) -> u8 {
     (x * 255.0 + 0.5) as u8
 }
 
-/// Bits of an f32 that a bucket's numbers differ in.
+/// Number of low bits in which the numbers of a bucket differ.
 const WITHIN: u32 = 16;
-/// Below this all is level 0.
+/// Smaller numbers have level 0.
 const MIN_BUCKETED: f32 = 1.0 / 8192.0;
 
-/// The numbers that share their leading bits: what is below `border` has the level, the others the next one.
+/// Numbers with equal leading bits. Numbers below `border` have `level`, the others the next level.
 #[derive(Debug, Clone, Copy)]
 struct Bucket {
     border: f32,
     level: u8,
 }
 
-/// Buckets of [`MIN_BUCKETED`] to 1, each so narrow that it holds no more than one border of two levels.
+/// Buckets of [`MIN_BUCKETED`] to 1, each narrow enough to contain at most one border between levels.
 static BUCKETS: LazyLock<Vec<Bucket>> = LazyLock::new(|| {
     let level = |x: f32| to_u8(encode(x));
     let buckets = (MIN_BUCKETED.to_bits() >> WITHIN)..(1.0f32.to_bits() >> WITHIN);
@@ -53,7 +53,7 @@ static BUCKETS: LazyLock<Vec<Bucket>> = LazyLock::new(|| {
     buckets.map(bucket).collect()
 });
 
-/// Linear light to the nearest of 256 sRGB-encoded levels: [`to_u8`] of [`encode`] without a power.
+/// Linear light to the nearest of 256 sRGB-encoded levels: [`to_u8`] of [`encode`], by table instead of a power.
 #[inline]
 pub fn encode_u8(linear: f32) -> u8 {
     if !(linear >= MIN_BUCKETED) {
@@ -75,7 +75,7 @@ mod tests {
         for x in all.chain([-1.0, 1.0, 1e30, f32::INFINITY, f32::NAN, f32::NEG_INFINITY]) {
             assert_eq!(encode_u8(x), to_u8(encode(x)), "{x}");
         }
-        // Each border, and the numbers beside it: the power may round to either side of a half there.
+        // Each border and the numbers next to it, where the power may round to either side.
         for level in 0..255u8 {
             let at = decode((f32::from(level) + 0.5) / 255.0);
             for bits in at.to_bits() - 40..at.to_bits() + 40 {

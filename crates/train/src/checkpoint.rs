@@ -1,4 +1,4 @@
-//! Checkpoints: the whole state of a training as one safetensors file with a versioned header.
+//! Checkpoints: the complete state of a training as one safetensors file with a versioned header.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ use relume_spec::training::TrainConfig;
 
 const VERSION: u32 = 1;
 const HEADER_KEY: &str = "relume_checkpoint";
-/// Tensor of the summed absgrad; the name is that of all files of this version.
+/// Tensor of the summed absgrad; all files of this version use this name.
 const ABSGRAD_KEY: &str = "density.pull";
 
 #[derive(Serialize, Deserialize)]
@@ -41,17 +41,17 @@ struct Header {
     gains: Vec<Vec<Gain>>,
     #[serde(default)]
     lights: Vec<f32>,
-    /// Region of the cut and Gaussians before it.
+    /// Region of the crop, and number of Gaussians before it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     cut: Option<(Region, usize)>,
     labels: usize,
     gathered: usize,
-    /// Absent in checkpoints from before there were lights.
+    /// Absent in checkpoints of older versions, which have no lights.
     #[serde(default)]
     arriving: usize,
 }
 
-/// Tensor of a field of the Gaussians before the cut.
+/// Name of the tensor of a field of the Gaussians before the crop.
 fn cut_key(field: Field) -> String {
     format!("cut.{}", field.name())
 }
@@ -63,7 +63,7 @@ fn bad(field: &str, reason: impl std::fmt::Display) -> TrainError {
 /// The bytes of a checkpoint.
 ///
 /// # Errors
-/// When a parameter is not finite.
+/// [`TrainError::Checkpoint`] if a parameter is not finite.
 pub fn encode(
     schedule: &ScheduleState,
     state: &TrainState,
@@ -121,7 +121,7 @@ pub fn encode(
     safetensors::serialize(tensors, Some(metadata)).map_err(|e| bad("container", e))
 }
 
-/// Reads a checkpoint that was made under the same configuration.
+/// Reads a checkpoint of the same configuration.
 ///
 /// # Errors
 /// Names the part that is missing, damaged, or from another configuration.
@@ -131,10 +131,10 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
     let text = text.ok_or_else(|| bad("header", "is missing: this is not a checkpoint"))?;
     let header: Header = serde_json::from_str(text).map_err(|e| bad("header", e))?;
     if header.version != VERSION {
-        return Err(bad("version", format!("is {}, this build reads {VERSION}", header.version)));
+        return Err(bad("version", format!("is {}; this build reads {VERSION}", header.version)));
     }
     if header.config != *config {
-        return Err(bad("config", "differs from the one this training was asked for"));
+        return Err(bad("config", "differs from the configuration of this training"));
     }
     let model = model_file::decode(bytes).map_err(|e| bad("model", e))?;
     let file = SafeTensors::deserialize(bytes).map_err(|e| bad("container", e))?;
@@ -174,7 +174,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
     let cut = |(region, gaussians): (Region, usize)| -> Result<Arc<SubjectCrop>, TrainError> {
         // Sizes are checked against the file's length before memory is allocated for them.
         if gaussians.saturating_mul(3 * 4) > bytes.len() {
-            return Err(bad("cut", "names more Gaussians than the file holds"));
+            return Err(bad("cut", "states more Gaussians than the file contains"));
         }
         let mut silhouette = Gaussians::zeroed(gaussians, 1, 0, 0);
         for field in SILHOUETTE {

@@ -1,4 +1,4 @@
-//! What decisions about a training are made from: its configuration, its light operators, how far it is.
+//! Inputs of the decisions during a training: configuration, light operators, capture properties.
 
 use crate::schedule;
 use relume_engine::cpu::evaluation;
@@ -6,14 +6,14 @@ use relume_engine::{Branches, LightRotations, Photo, TrainState};
 use relume_scene::light::EnvOperators;
 use relume_spec::training::TrainConfig;
 
-/// What is the same for every step of a training, and how far it is.
+/// The parts of a training that stay the same for every step.
 #[derive(Debug, Clone, Copy)]
 pub struct StepContext<'a> {
     /// The configuration.
     pub config: &'a TrainConfig,
     /// Operators of the training environment.
     pub operators: &'a EnvOperators,
-    /// Turns of the photographs' light.
+    /// Rotations of the photographs' light.
     pub rotations: &'a LightRotations,
     /// Display-referred background.
     pub background: [f32; 3],
@@ -22,7 +22,7 @@ pub struct StepContext<'a> {
 }
 
 impl StepContext<'_> {
-    /// The physically based branch as one photograph would show it, display-referred.
+    /// The physically based branch, rendered for one photograph, display-referred.
     pub fn physical_image(&self, state: &TrainState, photo: &Photo) -> Vec<[f32; 3]> {
         evaluation::physical_image(state, self.operators, photo, self.branches(), self.background)
     }

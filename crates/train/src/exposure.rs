@@ -1,8 +1,9 @@
 //! Exposure and white balance of single photographs.
 //!
-//! A phone chooses both anew for each photograph. The physically based branch shows every photograph under one light, so that a
-//! photograph's median ratio to it is its gain. (The radiance branch would not do: it takes a gain for a change with the view.)
-//! Photographs are divided by their gains where these differ by more than a model's errors make them.
+//! A phone chooses both for each photograph. The physically based branch renders every photograph under one light, so
+//! the median ratio of a photograph to its rendering is its gain. (The radiance branch is unsuitable: it explains a
+//! gain as view dependence.) Photographs are divided by their gains if these differ by more than model errors
+//! explain.
 
 use rayon::prelude::*;
 
@@ -14,19 +15,19 @@ use relume_scene::Plane;
 
 /// Longest side of the images that are compared, pixels.
 const SIDE: u32 = 96;
-/// Display-referred values that tell a ratio: neither noise nor clipped.
+/// Display-referred values that are used for the ratio: neither noise nor clipped.
 const INFORMATIVE_RANGE: (f32, f32) = (0.06, 0.94);
-/// Mask above which a pixel shows the subject alone.
+/// Mask value above which a pixel shows only the object.
 const MIN_FULL_MASK: f32 = 0.95;
-/// Fewest pixels that tell a gain.
+/// Least number of pixels for a gain.
 const MIN_PIXELS: usize = 50;
-/// Standard deviation over the photographs, of `ln(gain)` in green or of that of red or blue over green, from which gains
-/// count. Scenes under one exposure stay below it (docs/decisions/0032).
+/// Standard deviation over the photographs above which gains are applied: of `ln(gain)` in green, or of that of red
+/// or blue over green. Scenes with constant exposure stay below it (docs/decisions/0032).
 const MIN_GAIN_SPREAD: f32 = 0.045;
-/// Largest `|ln(gain)|` that is believed.
+/// Largest accepted `|ln(gain)|`.
 const MAX_LOG_GAIN: f32 = 1.0;
 
-/// Gains of the photographs of `data`, of geometric mean 1, by how much they differ from what the physically based branch shows.
+/// Gains of the photographs of `data` relative to the physically based branch, normalised to a geometric mean of 1.
 pub fn gains(state: &TrainState, context: &StepContext<'_>, data: &Dataset) -> Vec<Gain> {
     let logs: Vec<[f32; 3]> = (0..data.len())
         .into_par_iter()
@@ -42,12 +43,12 @@ pub fn gains(state: &TrainState, context: &StepContext<'_>, data: &Dataset) -> V
     logs.iter().map(gain).collect()
 }
 
-/// True when `gains` differ by more than those of photographs under one exposure would.
+/// True when `gains` differ by more than those of photographs with constant exposure.
 pub fn differ(gains: &[Gain]) -> bool {
     spread(gains).iter().any(|spread| *spread > MIN_GAIN_SPREAD)
 }
 
-/// Standard deviations of the logarithms of green, and of red and blue over green.
+/// Standard deviations of the logarithms of green, of red over green and of blue over green.
 pub fn spread(gains: &[Gain]) -> [f32; 3] {
     let n = gains.len().max(1) as f32;
     let of = |value: fn(&Gain) -> f32| {
@@ -57,7 +58,7 @@ pub fn spread(gains: &[Gain]) -> [f32; 3] {
     [of(|g| g[1]), of(|g| g[0] / g[1]), of(|g| g[2] / g[1])]
 }
 
-/// `photo` with a longest side of at most [`SIDE`].
+/// `photo`, reduced to a longest side of at most [`SIDE`].
 fn reduced(photo: &Photo) -> Photo {
     let (width, height) = (photo.camera.width, photo.camera.height);
     let longest = width.max(height);
@@ -73,7 +74,7 @@ fn reduced(photo: &Photo) -> Photo {
     Photo { camera: photo.camera.resized(w, h), pixels, alpha, light: photo.light }
 }
 
-/// Median of `ln(photograph / image)` by channel, in linear light; 0 where too few pixels tell.
+/// Median of `ln(photograph / image)` by channel, in linear light; 0 with too few usable pixels.
 fn median_ratio(photo: &Photo, image: &[[f32; 3]]) -> [f32; 3] {
     let tells = |v: &f32| (INFORMATIVE_RANGE.0..=INFORMATIVE_RANGE.1).contains(v);
     let whole = |i: usize| photo.alpha.get(i).is_none_or(|a| *a > MIN_FULL_MASK);
@@ -100,7 +101,7 @@ mod tests {
     use relume_compare::largest_difference;
     use relume_scene::Camera;
 
-    /// A photograph of a ramp of colours, half of it behind a mask.
+    /// A photograph of a colour ramp, half of it behind a mask.
     fn photo(alpha: bool) -> Photo {
         let camera =
             Camera::look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z, 0.7, (40, 20)).unwrap();
@@ -146,7 +147,7 @@ mod tests {
     fn gains_count_only_if_they_differ_between_photographs() {
         let of = |step: f32| -> Vec<Gain> { (0..10).map(|i| [(step * (i % 2) as f32).exp(); 3]).collect() };
         assert!(differ(&of(0.1)) && !differ(&of(0.08)) && !differ(&[]));
-        assert!(!differ(&[[1.3, 1.3, 1.3]; 5]), "the level of all of them is the light's");
+        assert!(!differ(&[[1.3, 1.3, 1.3]; 5]), "a common gain belongs to the light");
         let warmer: Vec<Gain> = (0..10).map(|i| [1.0 + 0.1 * (i % 2) as f32, 1.0, 1.0]).collect();
         assert!(differ(&warmer));
     }

@@ -1,4 +1,4 @@
-//! Captures as trainings load them.
+//! Import of captures for training.
 
 use std::path::Path;
 
@@ -7,13 +7,14 @@ use crate::memory::{self, MemoryBudget, PhotographSizes};
 use relume_capture::{Capture, ImportLimits, ImportOptions, UndecodedCapture};
 use relume_spec::training::TrainConfig;
 
-/// A capture at the resolution it will be trained at, without ground truth, so that memory holds no pixel in vain; with
-/// the turns of the light and the colour of the grey card that `config` gives.
+/// A capture at the resolution of the training, without ground truth, so that no memory holds unused pixels. It has
+/// the light rotations and the grey card's colour that `config` states.
 ///
 /// # Errors
-/// [`TrainError::Capture`]: what the importer refuses, by file and field; a turn of the light of no photograph; a grey card that
-/// cannot be measured. [`TrainError::Memory`] where `budget` has too little memory, by the sizes in the headers and one decoded
-/// photograph; after the import by all of them.
+/// [`TrainError::Capture`] for everything that the importer refuses, with file and field, for a light rotation of an
+/// unknown photograph, and for a grey card that cannot be measured. [`TrainError::Memory`] if `budget` is too small.
+/// This is checked before decoding, from the sizes in the headers and a few decoded photographs, and again after the
+/// import, from all photographs.
 pub fn import_for_training(
     path: &Path,
     config: &TrainConfig,
@@ -64,7 +65,7 @@ mod tests {
     fn config(photo: &str, x: u32) -> TrainConfig {
         let card = GreyCard { photo: photo.into(), x, y: 4, width: 8, height: 6 };
         let overrides = TrainOverrides {
-            // Half of what is stored: the card is measured in the stored photograph all the same.
+            // Half the stored size; the card is measured in the photograph at its stored size.
             resolution: Some(16),
             iterations: Some(4),
             warm_up: Some(0.0),
@@ -88,7 +89,7 @@ mod tests {
             let mut trainer = Trainer::new(capture, config.clone(), &Device::Cpu).unwrap();
             trainer.step().unwrap();
             let checkpoint = trainer.checkpoint().unwrap();
-            // A resumption is given the settings as the caller wrote them.
+            // Resumed with the settings as the caller wrote them.
             let mut trainer = Trainer::resume(capture, config.clone(), &checkpoint, &Device::Cpu).unwrap();
             trainer.step().unwrap();
             assert_eq!(trainer.config().colour_source() == "white_balance", capture.grey_card.is_some());
@@ -99,7 +100,7 @@ mod tests {
         let by_card = trained(&config, &capture);
         let told =
             TrainConfig { grey_card: None, white_balance: WhiteBalance::Colour(colour), ..config.clone() };
-        assert_eq!(by_card, trained(&told, &capture), "as if the colour had been given");
+        assert_eq!(by_card, trained(&told, &capture), "same result as with a given colour");
         capture.grey_card = None;
         let estimated = TrainConfig { grey_card: None, ..config.clone() };
         assert_ne!(by_card, trained(&estimated, &capture), "the control");

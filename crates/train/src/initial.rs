@@ -1,4 +1,4 @@
-//! The first Gaussians: from the capture's points, from the hull of its masks, or at random inside its bounds.
+//! Initial Gaussians: from the capture's points, from the hull of its masks, or at random inside its bounds.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -17,19 +17,19 @@ use relume_spec::training::TrainConfig;
 
 /// Voxels along an edge of the carved cube.
 const HULL_SIDE: usize = 80;
-/// Without masks, distance beyond which a Gaussian occludes nothing, scene radii: what is farther away counts as light.
+/// Occluder reach without masks, scene radii: Gaussians farther away count as light and do not occlude.
 const SURROUNDINGS: f32 = 0.5;
-/// Nearest and farthest first Gaussian along a ray, in distances from the camera to the subject.
+/// Nearest and farthest initial Gaussian along a ray, relative to the distance from the camera to the object.
 const RAY_DEPTHS: [f64; 2] = [0.4, 4.0];
-/// Mean radiance of the first light, the same from everywhere.
+/// Mean radiance of the initial light, which is uniform over all directions.
 const FIRST_LIGHT: f32 = 0.6;
 /// Opacity of a new Gaussian.
 const OPACITY: f32 = 0.3;
 
-/// Position and display colour of a first Gaussian.
+/// Position and display colour of an initial Gaussian.
 type Seed = ([f32; 3], [f32; 3]);
 
-/// The model training starts from.
+/// The model at the start of training.
 pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut ChaCha8Rng) -> Model {
     let wanted = config.initial_gaussians as usize;
     let (seeds, spacing) = seeds(capture, data, wanted, rng);
@@ -71,18 +71,18 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
     }
 }
 
-/// How photographs without masks show the scene.
+/// The default view for captures without masks.
 fn framing(capture: &Capture) -> Option<Framing> {
     let cameras: Vec<&Camera> = capture.train.iter().map(|view| &view.camera).collect();
     if capture.has_alpha { None } else { relume_capture::framing(&cameras) }
 }
 
-/// Makes the environment the same from everywhere, of this colour.
+/// Sets the environment to a uniform light of this colour.
 pub fn light_of_colour(model: &mut Model, colour: LightColour) {
     model.env_raw.fill(colour.rgb().map(|c| softplus_inverse(FIRST_LIGHT * c)));
 }
 
-/// Colour of what the environment sends to a surface that faces up.
+/// Colour of the light that the environment sends to a surface that faces up.
 pub fn colour_from_above(model: &Model) -> LightColour {
     let texels = texel_directions(model.env_width, model.env_height);
     let mut sum = [1e-6f32; 3];
@@ -92,7 +92,8 @@ pub fn colour_from_above(model: &Model) -> LightColour {
     LightColour::of(sum)
 }
 
-/// The environment that training starts from, before the softplus: the light of the photographs if it is known.
+/// The environment at the start of training, before the softplus: the measured light of the photographs if it is
+/// known.
 fn first_light(capture: &Capture, config: &TrainConfig) -> Vec<[f32; 3]> {
     let rows = config.environment_rows as usize;
     let (Some(map), Some(light)) = (&capture.measured_light, &config.light) else {
@@ -101,7 +102,7 @@ fn first_light(capture: &Capture, config: &TrainConfig) -> Vec<[f32; 3]> {
     applied(light, map).resampled(2 * rows, rows).texels().iter().map(|t| t.map(softplus_inverse)).collect()
 }
 
-/// The strong small lights of a light that is known.
+/// The strong small lights of a known light.
 fn known_lights(capture: &Capture, data: &Dataset, config: &TrainConfig) -> LightSplit {
     let (Some(map), Some(light)) = (&capture.measured_light, &config.light) else {
         return LightSplit::default();
@@ -115,7 +116,7 @@ fn known_lights(capture: &Capture, data: &Dataset, config: &TrainConfig) -> Ligh
     lights::split(&lights, 2 * rows, rows)
 }
 
-/// Positions with display colours, and each one's standard deviation.
+/// Positions with display colours, and the standard deviation of each.
 fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng) -> (Vec<Seed>, Vec<f32>) {
     let in_model = |p: glam::DVec3| ((p + data.offset) * data.scale).as_vec3().to_array();
     let hull = if data.has_alpha { hull_surface(data) } else { Vec::new() };
@@ -140,11 +141,11 @@ fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng)
     (seeds, spacing)
 }
 
-/// Seeds along the rays of random pixels of random photographs, at log-uniform depths around the subject's distance:
-/// everywhere in the cameras' views and never close in front of one.
+/// Seeds along the rays of random pixels of random photographs, at log-uniform depths around the object's distance:
+/// throughout the cameras' frusta and never close to a camera.
 fn seeds_along_rays(data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng) -> Vec<Seed> {
     let mut seeds = Vec::with_capacity(wanted);
-    // By photograph: seeds, and the pixels that they lie behind.
+    // For each photograph, its seeds and the pixels behind which they lie.
     let mut behind: Vec<Vec<(usize, usize)>> = vec![Vec::new(); data.len()];
     for seed in 0..wanted {
         let index = rng.random_range(0..data.len());
@@ -162,7 +163,7 @@ fn seeds_along_rays(data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng) -> Vec<
     seeds
 }
 
-/// Pixel of `photo` under a point, if it is in front and inside.
+/// Pixel of `photo` that shows a point; `None` if the point is behind the camera or outside the image.
 fn pixel_of(photo: &Photo, p: [f32; 3]) -> Option<usize> {
     let c = &photo.camera;
     let x = c.rotation * glam::DVec3::new(p[0].into(), p[1].into(), p[2].into()) + c.translation;
@@ -174,7 +175,7 @@ fn pixel_of(photo: &Photo, p: [f32; 3]) -> Option<usize> {
     inside.then(|| v as usize * c.width as usize + u as usize)
 }
 
-/// Gives each seed the mean colour of the photographs' pixels over it.
+/// Gives each seed the mean colour of the pixels that show it.
 fn show_mean_colours(data: &Dataset, seeds: &mut [Seed]) {
     let mut sums = vec![([0.0f32; 3], 0.0f32); seeds.len()];
     data.for_each_photo(PhotoSize::Half, |_, photo| {
@@ -190,7 +191,7 @@ fn show_mean_colours(data: &Dataset, seeds: &mut [Seed]) {
     }
 }
 
-/// Centres of the voxels on the surface of the visual hull, in the unit ball's cube (normalised world).
+/// Centres of the voxels on the surface of the visual hull, in the cube around the unit ball (normalised world).
 fn hull_surface(data: &Dataset) -> Vec<[f32; 3]> {
     use rayon::prelude::*;
     let n = HULL_SIDE;
@@ -198,7 +199,7 @@ fn hull_surface(data: &Dataset) -> Vec<[f32; 3]> {
         let at = |k: usize| -1.0 + (2 * k + 1) as f32 / n as f32;
         [at(i % n), at(i / n % n), at(i / (n * n))]
     };
-    // How many photographs see each voxel, and how many of them show nothing there.
+    // For each voxel: the number of photographs that see it, and the number of those whose mask is empty there.
     let mut counts = vec![[0u32; 2]; n * n * n];
     data.for_each_photo(PhotoSize::Half, |_, photo| {
         counts.par_iter_mut().with_min_len(4096).enumerate().for_each(|(i, [seen, missed])| {
@@ -208,7 +209,7 @@ fn hull_surface(data: &Dataset) -> Vec<[f32; 3]> {
             }
         });
     });
-    // A few misses are forgiven: masks are blurred at half resolution.
+    // A few misses are allowed, because masks are blurred at half resolution.
     let solid: Vec<bool> = counts.iter().map(|[seen, missed]| *seen >= 3 && missed * 40 <= *seen).collect();
     let open = |i: usize, axis: usize, step: isize| {
         let stride = [1, n, n * n][axis];
@@ -219,7 +220,8 @@ fn hull_surface(data: &Dataset) -> Vec<[f32; 3]> {
     (0..n * n * n).filter(|i| solid[*i]).filter(surface).map(centre).collect()
 }
 
-/// Distance of each seed to its third nearest neighbour, by a hash grid; the mean where there are too few.
+/// Distance of each seed to its nearest neighbours: root mean square over three, from a hash grid whose cell size
+/// limits it.
 fn nearest_neighbour_distance(seeds: &[Seed]) -> Vec<f32> {
     use rayon::prelude::*;
     use std::collections::HashMap;

@@ -1,4 +1,4 @@
-//! The measured light of the photographs, where it is known.
+//! The measured light of the photographs, if it is known.
 
 use relume_capture::Capture;
 use relume_engine::upward_share;
@@ -6,34 +6,35 @@ use relume_scene::light::{UPWARD_LUMINANCE, luminance};
 use relume_scene::{EnvMap, texel_directions};
 use relume_spec::training::{Auto, KnownLight, LightExposure, MAX_STOPS};
 
-/// Distance from the usual level beyond which a map is likely on another scale than the photographs, stops.
+/// Deviation from the usual level above which a map probably has another scale than the photographs, stops.
 const MAX_EXPOSURE_OFFSET: f64 = 1.0;
 
-/// Gives `capture` the measured map, with a warning if it is likely on another scale than the photographs.
+/// Adds the measured map to `capture`, with a warning if its scale probably differs from that of the photographs.
 pub fn illuminate(light: &KnownLight, capture: &mut Capture, map: EnvMap) {
     if let LightExposure::Stops(ev) = light.exposure_ev {
         let off = level(&map).log2() + ev;
         if off.abs() > MAX_EXPOSURE_OFFSET {
             capture.warnings.push(format!(
-                "light: under it a white surface facing up is {off:+.1} stops from where photographs show it; a map on another scale \
-                 than the photographs spoils albedo (exposure \"auto\" assumes 0)"
+                "light: under this map a white surface that faces up is {off:+.1} stops from its usual level in photographs; \
+                 a map with another scale than the photographs causes wrong albedo (exposure \"auto\" assumes 0)"
             ));
         }
     }
     capture.measured_light = Some(map);
 }
 
-/// `map` at the rotation and exposure of the photographs.
+/// `map` with the rotation and exposure of the photographs.
 pub(crate) fn applied(light: &KnownLight, map: &EnvMap) -> EnvMap {
     let gain = match light.exposure_ev {
         LightExposure::Stops(ev) => ev.exp2(),
-        // At most the largest exposure in stops: a map that is dark above stays finite.
+        // At most the largest exposure in stops, so that a map without light from above stays finite.
         LightExposure::Unknown(Auto::Auto) => level(map).recip().min(MAX_STOPS.exp2()),
     };
     map.rotated_and_scaled(light.rotation_deg, gain as f32)
 }
 
-/// Luminance of a white horizontal surface facing up, over that which an unknown light is held to; never 0.
+/// Luminance of a white horizontal surface that faces up, relative to the level at which an unknown light is held;
+/// never 0.
 fn level(map: &EnvMap) -> f64 {
     let texels = map.texels().iter().zip(texel_directions(map.width(), map.height()));
     let level: f64 = texels.map(|(t, at)| f64::from(upward_share(&at) * luminance(*t))).sum();
@@ -58,7 +59,7 @@ mod tests {
         let lit = applied(&light(LightExposure::AUTO), &floor);
         assert!(
             lit.texels().iter().flatten().all(|v| v.is_finite()),
-            "nothing from above is no reason for infinity"
+            "without light from above the result is finite"
         );
         let given = applied(&light(LightExposure::Stops(2.0)), &sky);
         assert!((level(&given) / level(&sky) - 4.0).abs() < 1e-5);

@@ -1,4 +1,5 @@
-//! The joint optimisation: objective, optimiser, density control, schedule, checkpoints, trainer.
+//! Joint optimisation of geometry, materials and light: initialisation, schedule, density control, checkpoints,
+//! trainer, evaluation and rendering.
 
 mod checkpoint;
 pub mod complexity;

@@ -1,8 +1,8 @@
-//! The colour of the light, from how the colours of the radiance branch change with the view.
+//! Estimates the colour of the light from the view dependence of the radiance branch.
 //!
-//! What a dielectric sends is its own colour times the light plus a highlight in the light's colour (the dichromatic model,
-//! Shafer 1985). As the view changes, its colour moves within the plane of these two. The planes of things of different
-//! colours meet in the colour of the light.
+//! The radiance of a dielectric is its own colour times the light plus a highlight in the colour of the light
+//! (dichromatic model, Shafer 1985). With the view, it changes within the plane of these two colours. The planes of
+//! surfaces with different colours intersect in the colour of the light.
 
 use glam::{DMat3, DVec3};
 
@@ -10,25 +10,25 @@ use relume_engine::cpu::{linear_from_srgb, sigmoid};
 use relume_scene::light::LightColour;
 use relume_scene::{Field, Gaussians};
 
-/// Y_00, and the factor of the components of a direction in Y_1m.
+/// Y_00, and the factor of a direction's components in Y_1m.
 const BANDS: [f32; 2] = [0.282_094_8, 0.488_602_5];
-/// Display-referred channels that are near neither black nor white, where colours are bent.
+/// Display-referred channels that are neither near black nor near white, where colours are distorted.
 const LINEAR_RANGE: (f32, f32) = (0.04, 0.97);
-/// Largest distance from the centre of the scene, in its radii: what is farther away is not lit as the subject is.
+/// Largest distance from the centre of the scene, in scene radii. Gaussians farther away are lit differently from the
+/// object.
 const SUBJECT_RADIUS: f32 = 1.0;
-/// `ln(blue / red)` of the light is the first plus the others times that of the meeting colour and of the mean change. Both
-/// are too warm, since blurred edges and wrong shapes mix colours of things into the change. Fitted to 31 pairs of a scene and
-/// a light (docs/decisions/0009).
+/// Coefficients of `ln(blue / red)` of the light: a constant, and factors on that of the intersection colour and on
+/// that of the mean change. Both are biased towards warm colours, since blurred edges and wrong shapes mix surface
+/// colours into the change. Fitted to 31 pairs of a scene and a light (docs/decisions/0009).
 const BLUE_OVER_RED: [f32; 3] = [0.59, 0.66, 0.40];
-/// The same for `ln(green^2 / (red blue))`.
+/// Coefficients of `ln(green^2 / (red blue))`.
 const GREEN: [f32; 3] = [-0.07, 0.80, 0.0];
-/// Lights beyond these logarithms are not believed.
+/// Largest accepted magnitudes of the logarithms.
 const MAX_LIGHT_COLOUR: LightColour = LightColour { blue_over_red: 1.5, green: 0.9 };
-/// Least share of the subject's weight that has to have colours to tell from.
+/// Least share of the object's weight that must have usable colours.
 const MIN_WEIGHT_SHARE: f64 = 0.05;
 
-/// The estimated colour of the light of the photographs; that of a neutral one where the radiance branch does not change
-/// with the view.
+/// The estimated colour of the light of the photographs; neutral if the radiance branch has no view dependence.
 pub fn estimate(g: &Gaussians) -> LightColour {
     let (mut planes, mut change) = (DMat3::ZERO, DVec3::ZERO);
     let (mut told, mut all) = (0.0, 0.0);
@@ -61,7 +61,7 @@ pub fn estimate(g: &Gaussians) -> LightColour {
     }
 }
 
-/// Opacity times area of Gaussian `i`, 0 outside of the subject.
+/// Opacity times area of Gaussian `i`; 0 outside the object.
 fn weight(g: &Gaussians, i: usize) -> f64 {
     let mean: [f32; 3] = g.get(Field::Mean, i);
     if mean.iter().map(|v| v * v).sum::<f32>() > SUBJECT_RADIUS * SUBJECT_RADIUS {
@@ -73,7 +73,7 @@ fn weight(g: &Gaussians, i: usize) -> f64 {
 }
 
 /// Unit linear colour of Gaussian `i`, and the derivatives of its linear colour by the three components of the view
-/// direction; `None` where these are not known.
+/// direction; `None` if they are unknown.
 fn colours(g: &Gaussians, i: usize) -> Option<(DVec3, [DVec3; 3])> {
     let radiance = g.row(Field::Radiance, i).as_chunks::<3>().0;
     let display: [f32; 3] = std::array::from_fn(|c| 0.5 + BANDS[0] * radiance[0][c]);
@@ -86,7 +86,7 @@ fn colours(g: &Gaussians, i: usize) -> Option<(DVec3, [DVec3; 3])> {
     Some((linear(display).normalize_or_zero(), [1, 2, 3].map(by_view)))
 }
 
-/// Unit axis along which a positive semidefinite matrix is least, turned to the side of positive channels.
+/// Unit eigenvector of the least eigenvalue of a positive semidefinite matrix, with a non-negative channel sum.
 fn least_axis(matrix: DMat3) -> DVec3 {
     let size = matrix.x_axis.x + matrix.y_axis.y + matrix.z_axis.z;
     let inverse = (matrix + DMat3::IDENTITY * (1e-9 * size)).inverse();
@@ -103,7 +103,7 @@ mod tests {
     use relume_engine::cpu::srgb;
     use relume_engine::fibonacci_sphere;
 
-    /// Things of `bodies` in turn under `light`, each with a highlight towards a side of its own.
+    /// Surfaces with the colours `bodies` in turn under `light`, each with a highlight in its own direction.
     fn scene(bodies: &[[f32; 3]], light: [f32; 3], highlight: f32) -> Gaussians {
         let sides = fibonacci_sphere(300);
         let mut g = Gaussians::zeroed(sides.len(), 1, 0, 1);
@@ -129,7 +129,7 @@ mod tests {
         let lights = [[1.4, 0.9, 0.5], [1.0, 1.0, 1.0], [0.8, 0.95, 1.3]];
         let found = lights.map(|light| of(&bodies, light));
         assert!(found[0] + 0.5 < found[1] && found[1] + 0.2 < found[2], "{found:?}");
-        // Warm things under a neutral light are not taken for things under a warm light.
+        // Warm surfaces under a neutral light are not mistaken for surfaces under a warm light.
         let warm = [[0.5, 0.3, 0.15], [0.4, 0.2, 0.1], [0.3, 0.25, 0.1]];
         let (warm, mixed) = (of(&warm, [1.0; 3]), of(&bodies, [1.0; 3]));
         assert!((warm - mixed).abs() < 0.15, "{warm} {mixed}");

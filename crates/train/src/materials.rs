@@ -1,24 +1,26 @@
-//! First values and restarts of the materials: albedo from the colours of the radiance branch, with the shading divided out.
+//! Initial values and restarts of the materials: albedo from the colours of the radiance branch, with the shading
+//! divided out.
 
 use relume_engine::cpu::{evaluation, linear_from_srgb, sigmoid};
 use relume_engine::{LightRotations, TrainState};
 use relume_scene::light::{EnvOperators, LightColour, UPWARD_LUMINANCE};
 use relume_scene::{Field, Gaussians};
 
-/// Rounds of k-means.
+/// Iterations of k-means.
 const ROUNDS: usize = 12;
-/// Sharpness of the first prototype scores, per squared linear colour distance. Low, since the colours include the shading,
-/// and the light does not learn what albedo explains; above 0, or the normals learn the texture.
+/// Sharpness of the initial prototype scores, per squared linear colour distance. It is low because the colours
+/// include the shading, and the light does not learn what albedo explains. It is above 0, otherwise the normals learn
+/// the texture.
 const FIRST_SHARPNESS: f32 = 2.0;
-/// The same at a restart, with the shading divided out.
+/// Sharpness at a restart, when the shading is divided out.
 const SHARPNESS: f32 = 60.0;
-/// Least irradiance that a colour is divided by.
+/// Lower bound of the irradiance that divides a colour.
 const MIN_IRRADIANCE: f32 = 0.3;
-/// Range of a first albedo.
+/// Range of an initial albedo.
 const RANGE: (f32, f32) = (0.02, 0.95);
-/// First metalness: most surfaces are dielectrics, and under a wrong light a highlight looks like metal.
+/// Initial metalness: most surfaces are dielectrics, and under a wrong light a highlight resembles metal.
 const METALNESS: f32 = 0.03;
-/// First roughness.
+/// Initial roughness.
 const ROUGHNESS: f32 = 0.5;
 
 fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
@@ -31,10 +33,10 @@ pub fn colour(g: &Gaussians, i: usize) -> [f32; 3] {
     std::array::from_fn(|c| linear_from_srgb((0.5 + 0.282_094_8 * s[c]).clamp(0.0, 1.0)))
 }
 
-/// The first materials: albedo from the Gaussians' view-independent colours, under a light of this colour.
+/// The initial materials: albedo from the Gaussians' view-independent colours, under a light of colour `light`.
 ///
-/// Where the irradiance has the level that the exposure term asks for, a diffuse surface's colour is its albedo times that
-/// level and the light's colour.
+/// If the irradiance has the level of the exposure term, a diffuse surface's colour is its albedo times that level
+/// and the light's colour.
 pub fn initialise(state: &mut TrainState, light: LightColour) {
     let g = &state.model.gaussians;
     let light = light.rgb().map(|c| UPWARD_LUMINANCE * c);
@@ -46,12 +48,13 @@ pub fn initialise(state: &mut TrainState, light: LightColour) {
     restart(state, &albedos, FIRST_SHARPNESS);
 }
 
-/// Restarts the materials from colours with the shading divided out: `albedo = colour pi / E`, `E` the irradiance of each
-/// Gaussian through its visibility plus what is gathered, over the `rotations` of the light. `normals` are the outward ones of
-/// the measured visibility. Metalness and roughness, which a wrong light distorts, restart from their first values.
+/// Restarts the materials from colours with the shading divided out: `albedo = colour pi / E`, where `E` is the
+/// irradiance of each Gaussian through its visibility plus the gathered light, over the `rotations` of the light.
+/// `normals` are the outward normals of the measured visibility. Metalness and roughness, which a wrong light
+/// distorts, restart from their initial values.
 ///
-/// Light and albedo can explain the same shading, and gradient steps resolve this slowly; a restart acts like a step of
-/// alternating least squares.
+/// Light and albedo can explain the same shading, and gradient steps resolve this slowly. A restart acts like a step
+/// of alternating least squares.
 pub fn restart_albedo(
     state: &mut TrainState,
     operators: &EnvOperators,
@@ -67,15 +70,16 @@ pub fn restart_albedo(
     restart(state, &albedos, SHARPNESS);
 }
 
-/// Sets metalness and roughness to their first values.
+/// Sets metalness and roughness to their initial values.
 pub fn reset_surface(g: &mut Gaussians) {
     for (field, start) in [(Field::MetalLogit, METALNESS), (Field::RoughLogit, ROUGHNESS)] {
         g.field_mut(field).fill((start / (1.0 - start)).ln());
     }
 }
 
-/// Prototypes at the k-means centres of `albedos` less their residuals, scores by distance, metalness and roughness as
-/// at the start, moments zero. Residuals stay: with few prototypes they hold the texture.
+/// Sets the prototypes to the k-means centres of `albedos` minus their residuals, the scores by distance, metalness
+/// and roughness to their initial values, and the moments to zero. Residuals stay: with few prototypes they contain
+/// the texture.
 fn restart(state: &mut TrainState, albedos: &[[f32; 3]], sharpness: f32) {
     let TrainState { model, moments, .. } = state;
     let opacity = |i: usize| sigmoid(model.gaussians.row(Field::OpacityLogit, i)[0]);
@@ -105,7 +109,7 @@ fn restart(state: &mut TrainState, albedos: &[[f32; 3]], sharpness: f32) {
     model.prototypes = centres;
 }
 
-/// K-means of weighted points: farthest-first start, then Lloyd's iterations; no random draw.
+/// K-means of weighted points: farthest-first initialisation, then Lloyd's iterations; deterministic.
 fn k_means(points: &[([f32; 3], f32)], k: usize) -> Vec<[f32; 3]> {
     let mut centres = vec![points[0].0];
     let mut nearest: Vec<f32> = points.iter().map(|(p, _)| distance(*p, centres[0])).collect();
@@ -151,12 +155,12 @@ mod tests {
         (0..3).map(|k| a[k] * b[k]).sum()
     }
 
-    /// A ball whose Gaussians have one of two albedos in turn, lit from above, and the radiance that follows.
+    /// A ball lit from above whose Gaussians alternate between two albedos, with the resulting radiance.
     fn shaded_ball() -> (TrainState, EnvOperators, Vec<[f32; 3]>) {
         ball_under([0.0, 0.0, 0.8], &[0.0])
     }
 
-    /// The same under a sky of 1 + slope . d, photographed under it turned by each of `rotations`, radians.
+    /// As [`shaded_ball`], under a sky of 1 + slope . d that is rotated by each of `rotations`, radians.
     fn ball_under(slope: [f32; 3], rotations: &[f64]) -> (TrainState, EnvOperators, Vec<[f32; 3]>) {
         let config = TrainConfig::preset(Preset::Draft);
         let normals = fibonacci_sphere(200);
@@ -194,7 +198,7 @@ mod tests {
         (TrainState::new(model), EnvOperators::new(columns, rows, 0, TableResolution::TRAINING), normals)
     }
 
-    /// Largest difference of any Gaussian's albedo from the truth.
+    /// Largest error of any Gaussian's albedo.
     fn albedo_error(state: &TrainState) -> f64 {
         let Model { gaussians, prototypes, shading, .. } = &state.model;
         let source = AttributeSource {
@@ -214,7 +218,7 @@ mod tests {
         let (mut state, operators, normals) = shaded_ball();
         initialise(&mut state, DAYLIGHT_SKY);
         let control = albedo_error(&state);
-        assert!(control.is_finite() && control > 0.1, "the control: colours as they are, {control}");
+        assert!(control.is_finite() && control > 0.1, "the control: colours with their shading, {control}");
         state.model.gaussians.field_mut(Field::Residual).fill(0.05);
         state.moments.second.field_mut(Field::ProtoLogits).fill(1.0);
         restart_albedo(&mut state, &operators, &LightRotations::default(), &normals);
@@ -231,7 +235,7 @@ mod tests {
         assert!(albedo_error(&state) < 0.015, "{}", albedo_error(&state));
         restart_albedo(&mut state, &operators, &LightRotations::default(), &normals);
         let control = albedo_error(&state);
-        assert!(control.is_finite() && control > 0.02, "the control: as if the light stood still, {control}");
+        assert!(control.is_finite() && control > 0.02, "the control: rotations ignored, {control}");
     }
 
     #[test]

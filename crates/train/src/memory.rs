@@ -1,4 +1,5 @@
-//! How much memory a training needs, before it begins: a lower bound, so that nothing is refused that would fit.
+//! Estimates the memory of a training before it starts. The estimate is a lower bound, so that no training is refused
+//! that would fit.
 
 use std::fmt::{self, Display, Formatter};
 
@@ -10,61 +11,63 @@ use relume_engine::{Branches, Device};
 use relume_scene::{Field, Gaussians};
 use relume_spec::training::TrainConfig;
 
-/// Bytes a pixel of a decoded photograph without a mask.
+/// Bytes per pixel of a decoded photograph without a mask.
 const DECODED_PIXEL: u64 = 12;
-/// States of all Gaussians that are kept: the model and two moments of each parameter, and the same in a snapshot.
+/// Number of copies of all parameters that are kept: the model and two moments of each parameter, and the same in a
+/// snapshot.
 const KEPT_STATES: u64 = 6;
-/// Bytes a pixel of a step's images beside its channels: both branches, the photograph, their window statistics and gradients.
+/// Bytes per pixel of a step's images in addition to its channels: both branches, the photograph, window statistics
+/// and gradients.
 const IMAGES_PIXEL: u64 = 200;
 
-/// Where a training is to run, and what memory is left there.
+/// The location of a training and the memory available there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryBudget {
     /// Whether Gaussians and images are in the memory of a device.
     pub on_device: bool,
-    /// Bytes of the host's memory; `None` where that is not known, and then nothing is refused.
+    /// Available bytes of host memory; `None` if unknown, in which case nothing is refused.
     pub available: Option<u64>,
 }
 
 impl MemoryBudget {
-    /// What this machine has left for a training on `device`.
+    /// The memory that is currently available on this machine, for a training on `device`.
     pub fn beside(device: &Device) -> Self {
         Self { on_device: device.is_gpu(), available: available_memory() }
     }
 
-    /// All that this machine has, for a training on `device` that may wait for what others hold.
+    /// All memory of this machine, for a training on `device` that may wait until other processes release theirs.
     pub fn of_machine(device: &Device) -> Self {
         Self { on_device: device.is_gpu(), available: total_memory() }
     }
 
-    /// All that is needed.
+    /// No limit.
     pub fn unbounded() -> Self {
         Self { on_device: false, available: None }
     }
 }
 
-/// The photographs of a training, held-out ones too.
+/// The photographs of a training, including held-out ones.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhotographSizes {
     /// Widths and heights after reduction, pixels.
     pub sizes: Vec<(u32, u32)>,
-    /// Bytes of memory a pixel.
+    /// Bytes of memory per pixel.
     pub bytes_a_pixel: f64,
-    /// How many of them are held out: they are in memory while a capture is read, and not while it is trained on.
+    /// Number of held-out photographs. They are in memory while the capture is read, but not during training.
     pub held_out: usize,
 }
 
 impl PhotographSizes {
-    /// Those that are not decoded yet, if all take as many bytes a pixel as the least of a few of them.
+    /// Sizes before decoding. The bytes per pixel are the least over a few decoded photographs.
     ///
     /// # Errors
-    /// What is wrong with one of these.
+    /// The error of decoding one of these photographs.
     pub fn undecoded(capture: &UndecodedCapture) -> Result<Self, CaptureError> {
         let (sizes, bytes_a_pixel) = (capture.sizes().to_vec(), capture.bytes_a_pixel()?);
         Ok(Self { sizes, bytes_a_pixel, held_out: capture.held_out() })
     }
 
-    /// Those of a capture.
+    /// Sizes of the photographs of a capture.
     pub fn of(capture: &Capture) -> Self {
         let images = || capture.train.iter().chain(&capture.test).map(|view| &view.image);
         let (bytes, pixels) =
@@ -73,29 +76,29 @@ impl PhotographSizes {
         Self { sizes, bytes_a_pixel: bytes as f64 / pixels.max(1) as f64, held_out: capture.test.len() }
     }
 
-    /// The same, no side longer than `resolution` pixels.
+    /// The sizes when reduced to at most `resolution` pixels on the longer side.
     fn reduced(&self, resolution: u32) -> Self {
         let options = ImportOptions { max_side: Some(resolution), ..ImportOptions::default() };
         Self { sizes: self.sizes.iter().map(|size| options.reduced_size(*size)).collect(), ..*self }
     }
 }
 
-/// Bytes that a training takes at least.
+/// Lower bounds of the memory of a training, bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryEstimate {
-    /// Photographs, held-out ones too.
+    /// Number of photographs, including held-out ones.
     pub photographs: usize,
-    /// Width and height of the largest of them, pixels.
+    /// Width and height of the largest photograph, pixels.
     pub largest: (u32, u32),
-    /// All of them as they are read.
+    /// All photographs while the capture is read.
     pub photograph_bytes: u64,
-    /// Those that are trained on, as they are kept.
+    /// The training photographs in their stored form.
     pub trained_bytes: u64,
-    /// Those that are kept decoded.
+    /// Decoded photographs in the cache.
     pub cache_bytes: u64,
-    /// Most Gaussians of the model.
+    /// Greatest number of Gaussians of the model.
     pub gaussians: u32,
-    /// Their parameters, moments, gradients and measurements.
+    /// Parameters, moments, gradients and measurements of the Gaussians.
     pub gaussian_bytes: u64,
     /// Images of a step.
     pub step_bytes: u64,
@@ -104,13 +107,13 @@ pub struct MemoryEstimate {
 }
 
 impl MemoryEstimate {
-    /// What a training with `config` takes on these photographs.
+    /// The memory of a training with `config` on these photographs.
     pub fn of(photographs: &PhotographSizes, config: &TrainConfig, on_device: bool) -> Self {
         let sizes = &photographs.sizes;
         let pixels = |&(width, height): &(u32, u32)| u64::from(width) * u64::from(height);
         let largest = sizes.iter().copied().max_by_key(pixels).unwrap_or((0, 0));
         let all: u64 = sizes.iter().map(pixels).sum();
-        // Which ones are held out is not known; none is larger than the largest.
+        // The held-out photographs are unknown here; none is larger than the largest.
         let trained = all.saturating_sub(photographs.held_out as u64 * pixels(&largest));
         let most = cache_bytes(sizes.iter().map(|size| (DECODED_PIXEL * pixels(size)) as usize)) as u64;
         Self {
@@ -126,26 +129,27 @@ impl MemoryEstimate {
         }
     }
 
-    /// Bytes of the host's memory: while photographs are read, or while they are trained on.
+    /// Bytes of host memory: the maximum over reading and training.
     pub fn host(&self) -> u64 {
         let engine = if self.on_device { 0 } else { self.engine() };
         self.photograph_bytes.max(self.trained_bytes + self.cache_bytes + engine)
     }
 
-    /// Bytes where the engine computes.
+    /// Bytes in the memory in which the engine computes.
     fn engine(&self) -> u64 {
         self.gaussian_bytes + self.step_bytes
     }
 }
 
-/// E.g. `2000 photographs of up to 1600x1200 11.52 GB, to train on 10.08 GB, decoded ones 0.54 GB, 8000 Gaussians 0.02 GB, images of
-/// a step 0.63 GB: at least 11.52 GB`.
+/// E.g. `2000 photographs of up to 1600x1200: 11.52 GB, training set 10.08 GB, decoded 0.54 GB; 8000 Gaussians 0.02
+/// GB; images of a step 0.63 GB; at least 11.52 GB are needed`.
 impl Display for MemoryEstimate {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let (width, height) = self.largest;
         write!(
             f,
-            "{} photographs of up to {width}x{height} {}, to train on {}, decoded ones {}, {} Gaussians {}, images of a step {}: at least {}",
+            "{} photographs of up to {width}x{height}: {}, training set {}, decoded {}; {} Gaussians {}; \
+             images of a step {}; at least {} are needed",
             self.photographs,
             gb(self.photograph_bytes),
             gb(self.trained_bytes),
@@ -159,15 +163,16 @@ impl Display for MemoryEstimate {
     }
 }
 
-/// Bytes of one Gaussian over a training.
+/// Bytes of one Gaussian during a training.
 fn gaussian_bytes(config: &TrainConfig) -> u64 {
     let g = shape(config);
     let floats: usize = Field::ALL.iter().map(|field| g.width(*field)).sum();
-    // The gradients of a step, and the measured visibility beside the learned one.
+    // Gradients of a step, and the measured visibility in addition to the learned one.
     4 * ((KEPT_STATES + 1) * floats as u64 + 2 * g.width(Field::Visibility) as u64)
 }
 
-/// Bytes a pixel of the images of a step with all terms: its channels forward and back, and what is made of them.
+/// Bytes per pixel of the images of a step with all terms: channels of the forward and backward pass, and derived
+/// images.
 fn step_pixel(config: &TrainConfig) -> u64 {
     let branches = if config.warm_up_steps() < config.iterations {
         Branches::Both
@@ -178,7 +183,7 @@ fn step_pixel(config: &TrainConfig) -> u64 {
     4 * (channels.blended.stored() + channels.differentiated.stored()) as u64 + IMAGES_PIXEL
 }
 
-/// No Gaussians, with the fields of those of a training.
+/// An empty set of Gaussians with the fields of the training.
 fn shape(config: &TrainConfig) -> Gaussians {
     let [prototypes, visibility, radiance] =
         [config.prototypes, config.visibility_order, config.radiance_order].map(|n| n as usize);
@@ -189,10 +194,11 @@ fn gb(bytes: u64) -> String {
     format!("{:.2} GB", bytes as f64 / 1e9)
 }
 
-/// Refuses a training for which there is no room.
+/// Refuses a training that does not fit in memory.
 ///
 /// # Errors
-/// [`TrainError::Memory`] names the setting at fault, all numbers, and the largest value that would fit.
+/// [`TrainError::Memory`] names the setting at fault, the estimate, and the largest value of the setting that would
+/// fit.
 pub fn check(
     photographs: &PhotographSizes,
     config: &TrainConfig,
@@ -202,7 +208,7 @@ pub fn check(
     let Some(available) = budget.available.filter(|available| need.host() > *available) else {
         return Ok(());
     };
-    let short = format!("{need}, of which {} are available", gb(available));
+    let short = format!("{need}, {} are available", gb(available));
     let sides = photographs.sizes.iter().map(|(width, height)| *width.max(height));
     let most = sides.max().unwrap_or(0).min(config.resolution);
     let smaller = |resolution| MemoryEstimate::of(&photographs.reduced(resolution), config, budget.on_device);
@@ -220,11 +226,11 @@ pub fn check(
     }))
 }
 
-/// Least values of two settings, as `TrainConfig` accepts them.
+/// Lower bounds of two settings in `TrainConfig`.
 const MIN_RESOLUTION: u32 = 16;
 const MIN_GAUSSIANS: u32 = 16;
 
-/// The largest number from `least` to below `most` that fits, where all smaller ones fit, too.
+/// The largest number from `least` to below `most` that fits. If a number fits, all smaller ones must fit.
 fn largest_fit(least: u32, most: u32, fits: impl Fn(u32) -> bool) -> Option<u32> {
     if most <= least || !fits(least) {
         return None;
@@ -253,7 +259,7 @@ mod tests {
         TrainConfig::new(Preset::Draft, &overrides).unwrap()
     }
 
-    /// Opaque ones of 8 bits a channel.
+    /// Opaque photographs of 8 bits per channel.
     fn opaque(sizes: &[(u32, u32)]) -> PhotographSizes {
         PhotographSizes { sizes: sizes.to_vec(), bytes_a_pixel: 3.0, held_out: 0 }
     }
@@ -274,7 +280,7 @@ mod tests {
         let (photographs, config) = (opaque(&[(1600, 1200); 2000]), config(1600, 8000));
         let why = refusal(&photographs, &config, 9_100_000_000);
         let named = [
-            "resolution: 2000 photographs of up to 1600x1200 11.52 GB",
+            "resolution: 2000 photographs of up to 1600x1200: 11.52 GB",
             "9.10 GB are available",
             "would fit",
         ];
@@ -286,7 +292,7 @@ mod tests {
         assert!(check(&photographs, &config, on_cpu(whole)).is_ok(), "the control: all of it fits");
         assert!(
             check(&photographs, &config, MemoryBudget::unbounded()).is_ok(),
-            "what is available is not known"
+            "the available memory is unknown"
         );
     }
 

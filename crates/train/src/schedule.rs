@@ -1,4 +1,4 @@
-//! What each step trains, with which weights and step sizes: the configuration as a function of progress.
+//! The schedule: the trained parameters, weights and step sizes of each step as a function of progress.
 
 use relume_engine::{
     Branches, FieldUpdate, ImageWeights, LightRotations, LightWeights, ParameterWeights, PhotoSize,
@@ -8,18 +8,18 @@ use relume_scene::Field;
 use relume_scene::light::LightColour;
 use relume_spec::training::{LabelSource, TrainConfig};
 
-/// Progress from which depth-normal consistency acts: before, depth is noise.
+/// Progress at which depth-normal consistency starts; before, depth is too noisy.
 const NORMALS_FROM: f32 = 0.05;
-/// Factor on the weight of exposure where the light turns.
+/// Factor on the weight of the exposure term if the light rotates.
 const ROTATING_LIGHT_EXPOSURE: f32 = 0.01;
-/// Progress from which sheen trains: earlier it explains what normals, roughness and light should.
+/// Progress at which sheen starts to train. Earlier it explains effects of normals, roughness and light.
 const SHEEN_FROM: f32 = 0.7;
 
-/// Steps in all beyond which materials, normals and light take smaller steps instead of travelling farther: what they would find on a
-/// longer way is noise of the photographs.
+/// Number of iterations above which materials, normals and light take proportionally smaller steps. Larger total
+/// updates would only fit noise of the photographs.
 const REFERENCE_ITERATIONS: f32 = 6000.0;
 
-/// What trains after `step` steps.
+/// The branches that are trained after `step` steps.
 pub fn branches(config: &TrainConfig, step: u32) -> Branches {
     let progress = step as f32 / config.iterations as f32;
     if step >= config.warm_up_steps() {
@@ -34,14 +34,13 @@ pub fn branches(config: &TrainConfig, step: u32) -> Branches {
     }
 }
 
-/// Size of the photograph that is trained on after `step` steps.
+/// Size of the training photograph after `step` steps.
 pub fn photo_size(config: &TrainConfig, step: u32) -> PhotoSize {
     let progress = step as f32 / config.iterations as f32;
     if progress < config.half_resolution { PhotoSize::Half } else { PhotoSize::Full }
 }
 
-/// Weights of the objective at `progress` in [0, 1].
-/// `light` is the colour that the light is held at.
+/// Weights of the objective at `progress` in [0, 1]. `light` is the colour towards which the light is regularised.
 pub fn step_weights(
     config: &TrainConfig,
     branches: Branches,
@@ -79,16 +78,17 @@ pub fn step_weights(
     }
 }
 
-/// Weights of the terms on a light that turns between photographs: highlights that move tell its level, so that the term on
-/// it need only keep it from drifting.
+/// Weights of the terms on a light that rotates between photographs. Moving highlights determine its level, so the
+/// exposure term only has to prevent drift.
 pub fn rotating_light_weights(weights: LightWeights) -> LightWeights {
     LightWeights { exposure: weights.exposure * ROTATING_LIGHT_EXPOSURE, ..weights }
 }
 
 /// Adam's step sizes at `progress` in [0, 1].
 ///
-/// Over the second half shapes and radiance fall to a thirtieth; materials, normals and light over the last quarter to a tenth, and where
-/// there are more steps than `REFERENCE_ITERATIONS`, theirs are smaller in proportion.
+/// Those of shapes and radiance decrease to a thirtieth over the second half; those of materials, normals and light
+/// decrease to a tenth over the last quarter. With more iterations than `REFERENCE_ITERATIONS` the latter are
+/// proportionally smaller.
 pub fn step_sizes(config: &TrainConfig, branches: Branches, progress: f32) -> StepSizes {
     let rates = &config.rates;
     let mean = rates.mean * (rates.mean_final / rates.mean.max(1e-20)).powf(progress);
@@ -120,7 +120,8 @@ pub fn step_sizes(config: &TrainConfig, branches: Branches, progress: f32) -> St
     StepSizes { fields, prototypes: rates.prototypes * on, environment: rates.environment * on }
 }
 
-/// How visibility and gathered light are measured: `repeats` times in a row, under each of the `rotations` of the light.
+/// The measurement of visibility and gathered light: `repeats` times in succession, under each of the `rotations` of
+/// the light.
 pub fn measurement<'a>(
     config: &TrainConfig,
     rotations: &'a LightRotations,

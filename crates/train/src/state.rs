@@ -1,4 +1,4 @@
-//! Where a training stands in its schedule.
+//! Position of a training in its schedule.
 
 use std::sync::Arc;
 
@@ -10,35 +10,35 @@ use crate::crop::SubjectCrop;
 use crate::dataset::Gain;
 use relume_scene::light::LightColour;
 
-/// Where a training stands in its schedule; kept on the host whatever device trains.
+/// Position of a training in its schedule; kept on the host for every device.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScheduleState {
-    /// Steps done.
+    /// Completed steps.
     pub step: u32,
-    /// Order in which this epoch visits the photographs.
+    /// Order of the photographs in this epoch.
     pub order: Vec<u32>,
     /// Position in `order`.
     pub cursor: u32,
-    /// Source of every random choice.
+    /// Source of all random choices.
     pub rng: ChaCha8Rng,
     /// Factor on all step sizes, lowered after a roll-back.
     pub rate_factor: f32,
     /// Seconds spent in steps.
     pub seconds: f64,
-    /// What was decided about the model's size so far.
+    /// Decisions about the model's size so far.
     pub complexity: ComplexityState,
-    /// Colour of the light that materials started from, once they train.
+    /// Colour of the light when the materials were initialised; `None` before.
     pub light_colour: Option<LightColour>,
-    /// Gains that photographs were divided by, one list a time; empty where they are under one exposure.
+    /// Gains by which the photographs were divided, one list per correction; empty for constant exposure.
     pub gains: Vec<Vec<Gain>>,
-    /// Of each strong small light: the share by which sharp shadows explain the photographs better than soft ones.
+    /// For each strong small light, the share by which sharp shadows explain the photographs better than soft ones.
     pub lights: Vec<f32>,
-    /// What was cut out of photographs without masks, after the warm-up.
+    /// The crop of the subject of photographs without masks, after the warm-up.
     pub cut: Option<Arc<SubjectCrop>>,
 }
 
 impl ScheduleState {
-    /// The beginning of a training on so many photographs; its first epoch draws their order.
+    /// The start of a training on `photographs` photographs; the first epoch draws their order.
     pub fn new(photographs: usize, rng: ChaCha8Rng) -> Self {
         Self {
             step: 0,
@@ -55,12 +55,12 @@ impl ScheduleState {
         }
     }
 
-    /// How often the photographs were changed.
+    /// Number of times that the photographs were modified.
     pub fn revision(&self) -> usize {
         self.gains.len() + usize::from(self.cut.is_some())
     }
 
-    /// Takes the photograph of the next step. Each epoch visits all of them in another order.
+    /// Advances to the photograph of the next step. Each epoch visits all photographs in a new order.
     pub fn next_photo(&mut self) -> usize {
         if self.cursor as usize >= self.order.len() {
             self.order.shuffle(&mut self.rng);
@@ -70,7 +70,7 @@ impl ScheduleState {
         self.order[self.cursor as usize - 1] as usize
     }
 
-    /// The photographs of the next `count` steps, none of them taken.
+    /// The photographs of the next `count` steps, without advancing.
     pub fn next_photos(&self, count: usize) -> Vec<usize> {
         let at = self.cursor as usize;
         if let Some(next) = self.order.get(at..at + count) {

@@ -1,46 +1,46 @@
-//! How much memory this process can still have.
+//! Memory available to this process.
 
 use std::path::Path;
 
-/// Where control groups of version 2 are.
+/// Root of the control groups of version 2.
 const CONTROL_GROUPS: &str = "/sys/fs/cgroup";
 
-/// Bytes of memory that this process can still have: what the machine has left, at most what its control groups allow. `None`
-/// where neither can be read.
+/// Bytes of memory available to this process: the available memory of the machine, limited by the control groups.
+/// `None` if neither can be read.
 pub fn available_memory() -> Option<u64> {
     [of_machine("MemAvailable:"), cgroup_limit()].into_iter().flatten().min()
 }
 
-/// Bytes of memory that this process could have if there were no other: those of the machine, at most what its control groups allow.
-/// `None` likewise.
+/// Bytes of memory available to this process if no other process ran: the memory of the machine, limited by the
+/// control groups. `None` if neither can be read.
 pub fn total_memory() -> Option<u64> {
     [of_machine("MemTotal:"), cgroup_limit()].into_iter().flatten().min()
 }
 
-/// A number of `/proc/meminfo`, bytes.
+/// A value from `/proc/meminfo`, bytes.
 fn of_machine(name: &str) -> Option<u64> {
     bytes_of(&std::fs::read_to_string("/proc/meminfo").ok()?, name)
 }
 
-/// The least limit, bytes, of the control group of this process (`MemoryMax` of a systemd unit, the limit of a container) and of those
-/// around it; `None` where there is none.
+/// The least memory limit, bytes, of this process's control group (`MemoryMax` of a systemd unit, the limit of a
+/// container) and its ancestors; `None` without a limit.
 pub fn cgroup_limit() -> Option<u64> {
     let own = std::fs::read_to_string("/proc/self/cgroup").ok()?;
     cgroup_limit_of(Path::new(CONTROL_GROUPS), &own)
 }
 
-/// The least limit of the control group that `own` (the text of `/proc/self/cgroup`) names, and of those around it.
+/// The least limit of the control group in `own` (the text of `/proc/self/cgroup`) and its ancestors.
 fn cgroup_limit_of(root: &Path, own: &str) -> Option<u64> {
-    // "0::" is version 2; its path begins at the root of the groups.
+    // "0::" is version 2; the path is relative to the root of the groups.
     let path = own.lines().find_map(|line| line.strip_prefix("0::/"))?;
     let groups = Path::new(path).ancestors();
-    // "max" is none.
+    // "max" means no limit.
     let bytes =
         |group: &Path| std::fs::read_to_string(root.join(group).join("memory.max")).ok()?.trim().parse().ok();
     groups.filter_map(bytes).min()
 }
 
-/// The number called `name` in the text of `/proc/meminfo`, bytes.
+/// The value `name` in the text of `/proc/meminfo`, bytes.
 fn bytes_of(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;

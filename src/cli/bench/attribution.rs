@@ -1,4 +1,4 @@
-//! `relume bench attribution`: where the error of relit pictures comes from.
+//! `relume bench attribution`: the sources of the error of relit pictures.
 
 use std::path::PathBuf;
 
@@ -11,10 +11,10 @@ use relume_train::eval::{attribute, figure};
 /// Options of `relume bench attribution`.
 #[derive(Debug, clap::Args)]
 pub(super) struct AttributionArgs {
-    /// A capture with relit truth and layers.
+    /// A capture with ground-truth relit pictures and layers.
     #[arg(long)]
     capture: PathBuf,
-    /// Models of it.
+    /// Models of this capture.
     #[arg(required = true)]
     models: Vec<PathBuf>,
     /// Longest image side, pixels.
@@ -23,7 +23,7 @@ pub(super) struct AttributionArgs {
     /// Held-out views to compare.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     views: u32,
-    /// The Markdown file to write; printed in any case.
+    /// The Markdown file to write. The report is also printed.
     #[arg(long)]
     out: Option<PathBuf>,
 }

@@ -1,4 +1,4 @@
-//! `relume bench complexity`: each scene trained with all model features and with those that it requires, side by side.
+//! `relume bench complexity`: compares trainings with all model features and with the features that the scene requires.
 
 use std::path::PathBuf;
 
@@ -16,7 +16,7 @@ use relume_engine::DeviceChoice;
 use relume_spec::training::{Complexity, Preset, TrainConfig};
 use relume_train::eval::Report;
 
-/// The synthetic scenes, by the name they have in the table.
+/// The synthetic scenes, with their names in the table.
 const SCENES: [(&str, SyntheticScene); 4] = [
     ("matte ball", SyntheticScene::MatteBall),
     ("mirror ball", SyntheticScene::MirrorBall),
@@ -27,9 +27,9 @@ const SCENES: [(&str, SyntheticScene); 4] = [
 /// Options of `relume bench complexity`.
 #[derive(Debug, clap::Args)]
 pub(super) struct ComplexityArgs {
-    /// Captures to train on besides the synthetic scenes.
+    /// Captures to train on, in addition to the synthetic scenes.
     captures: Vec<PathBuf>,
-    /// `draft`, `standard` or `high`.
+    /// Preset: `draft`, `standard` or `high`.
     #[arg(long, default_value = "draft", value_parser = named::<Preset>)]
     preset: Preset,
     /// Longest image side, pixels.
@@ -38,30 +38,30 @@ pub(super) struct ComplexityArgs {
     /// Optimisation steps.
     #[arg(long, default_value_t = 800)]
     iterations: u32,
-    /// Most Gaussians; half as many at the start.
+    /// Maximum number of Gaussians. A training starts with half of it.
     #[arg(long, default_value_t = 3000)]
     gaussians: u32,
-    /// Seed of every random choice.
+    /// Seed of all random choices.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Any other override of the preset; `auto` does not change a setting that is named here.
+    /// Any other override of the preset; repeatable. `auto` does not change a setting that is given here.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Held-out views compared.
+    /// Held-out views to compare.
     #[arg(long, default_value_t = 6)]
     views: usize,
-    /// Only the synthetic scenes with these names, or `none`.
+    /// Only the synthetic scenes with these names, separated by commas, or `none`.
     #[arg(long, value_delimiter = ',')]
     only: Vec<String>,
-    /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`.
+    /// Device: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
-    /// The Markdown file to write; printed in any case.
+    /// The Markdown file to write. The report is also printed.
     #[arg(long)]
     out: Option<PathBuf>,
 }
 
-/// The columns after the scene.
+/// The columns after the scene's name.
 const COLUMNS: [&str; 10] = [
     "floats a Gaussian",
     "Gaussians",
@@ -100,7 +100,7 @@ pub(super) fn run(args: &ComplexityArgs) -> CommandResult {
     Ok(publish(&text, args.out.as_deref())?)
 }
 
-/// The table row of one capture.
+/// Compares the trainings on one capture. Returns the table row.
 fn compare(
     args: &ComplexityArgs,
     device: &Device,
@@ -137,7 +137,7 @@ fn compare(
     Ok(line)
 }
 
-/// True over recovered albedo by channel, of both trainings.
+/// The ratio of true to recovered albedo per channel, for both trainings.
 fn scales(full: &Report, auto: &Report) -> String {
     let each = |report: &Report| report.albedo.scale.map(|[r, g, b]| format!("{r:.2} {g:.2} {b:.2}"));
     match (each(full), each(auto)) {
@@ -153,7 +153,7 @@ fn config(args: &ComplexityArgs, complexity: Complexity) -> CommandResult<TrainC
         ("seed", Some(args.seed.into())),
     ];
     let mut config = TrainConfig::new(args.preset, &overrides(&flags, &args.set)?)?;
-    // Not an override: an override would force the number, and `auto` decides it.
+    // This is not an override: an override would force the number, but `auto` must decide it.
     config.max_gaussians = args.gaussians;
     config.initial_gaussians = (args.gaussians / 2).max(16);
     config.complexity = complexity;

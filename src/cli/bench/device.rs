@@ -1,4 +1,4 @@
-//! `relume bench device`: training steps and frames on one device, stage by stage, against the device's limits.
+//! `relume bench device`: times training steps and frames on one device, per stage, and compares them with the device's limits.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -17,34 +17,34 @@ use relume_train::Trainer;
 use relume_train::eval::figure;
 use relume_train::render::Renderer;
 
-/// Steps before the measurement, in which pipelines are compiled and buffers grow to their size.
+/// Steps before the measurement, during which pipelines are compiled and buffers grow to their final size.
 const WARM_UP: usize = 5;
 
 /// Options of `relume bench device`.
 #[derive(Debug, clap::Args)]
 pub(super) struct DeviceArgs {
-    /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`.
+    /// Device: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
-    /// Numbers of Gaussians.
+    /// Numbers of Gaussians, separated by commas.
     #[arg(long, value_delimiter = ',', default_value = "50000,200000,1000000")]
     gaussians: Vec<u32>,
     /// Side of the square photographs, pixels.
     #[arg(long, default_value_t = 800, value_parser = clap::value_parser!(u32).range(16..=4096))]
     size: u32,
-    /// Training steps and frames measured.
+    /// Number of training steps and frames to measure.
     #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
-    /// Samples a pixel of Monte-Carlo frames, which take long in software; 0 leaves these out.
+    /// Samples per pixel of Monte-Carlo frames, which are slow on a software GPU. 0 omits these frames.
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=i64::from(Quality::MAX_SAMPLES)))]
     samples: u32,
-    /// Memory bandwidth of the device, GB/s, to compare with.
+    /// Memory bandwidth of the device, GB/s, for the comparison with its limits.
     #[arg(long)]
     bandwidth: Option<f64>,
-    /// Arithmetic of the device in f32, TFLOP/s, to compare with.
+    /// Arithmetic throughput of the device in f32, TFLOP/s, for the comparison with its limits.
     #[arg(long)]
     tflops: Option<f64>,
-    /// The Markdown file to write; printed in any case.
+    /// The Markdown file to write. The report is also printed.
     #[arg(long)]
     out: Option<PathBuf>,
 }
@@ -53,19 +53,19 @@ pub(super) struct DeviceArgs {
 struct DeviceMeasurements {
     gaussians: usize,
     step_ms: f64,
-    /// What the host did for a step of a GPU.
+    /// The host's work for each step on a GPU.
     host: Option<HostMeasurements>,
     stages: Vec<StageTime>,
-    /// Tier with frame size, and frames a second.
+    /// Tier with frame size, and frames per second.
     frames: Vec<(String, f64)>,
     peak_bytes: Option<u64>,
 }
 
-/// What the host does for a step on average.
+/// The host's average work per step.
 struct HostMeasurements {
-    /// Recording, and the schedule around it.
+    /// Recording of commands and the training schedule.
     recording_ms: f64,
-    /// Handing over; a software driver does the work meanwhile.
+    /// Submission of commands. A software driver executes them during this time.
     submitting_ms: f64,
     dispatches: f64,
     submissions: f64,
@@ -116,7 +116,7 @@ fn measure(
         resolution: Some(args.size),
         initial_gaussians: Some(n),
         max_gaussians: Some(n),
-        // Every step has all terms, and density control does nothing.
+        // Every step has all loss terms, and density control is inactive.
         warm_up: Some(0.0),
         half_resolution: Some(0.0),
         iterations: Some(1_000_000),
@@ -170,7 +170,7 @@ fn frames(
     model: Model,
 ) -> CommandResult<Vec<(String, f64)>> {
     let renderer = Renderer::on(Arc::new(model), device)?;
-    // A light of which a part is taken out, to cast a shadow.
+    // A light with a dominant light that is separated and casts a shadow.
     let light = builtin("sunset").map_or_else(|| renderer.model().recovered_light(), Into::into);
     let light = renderer.prepare_light(light)?;
     let mut qualities: Vec<Quality> = [Tier::Preview, Tier::Standard, Tier::High].map(Quality::from).to_vec();
@@ -195,7 +195,7 @@ fn frames(
     Ok(out)
 }
 
-/// The same vertical field of view at another size.
+/// A camera with the same vertical field of view and another size.
 fn framed(camera: &Camera, width: u32, height: u32) -> Camera {
     let focal = camera.fy * f64::from(height) / f64::from(camera.height);
     Camera {
@@ -244,11 +244,11 @@ fn report(args: &DeviceArgs, device: &Device, all: &[DeviceMeasurements]) -> Str
     text + &limits(args, all)
 }
 
-/// The three costliest counted stages against the device's limits, where those are given.
+/// Compares the three most expensive counted stages with the device's limits, if these are given.
 fn limits(args: &DeviceArgs, all: &[DeviceMeasurements]) -> String {
     let (Some(bandwidth), Some(tflops)) = (args.bandwidth, args.tflops) else { return String::new() };
     let mut text = format!(
-        "\nAgainst {bandwidth} GB/s and {tflops} TFLOP/s (least bytes and operations, as counted):\n\n{}",
+        "\nAgainst {bandwidth} GB/s and {tflops} TFLOP/s (minimum bytes and operations, as counted):\n\n{}",
         head(&["stage"], ["Gaussians", "ms", "MB", "GFLOP", "limit, ms", "of the limit"])
     );
     for figures in all {

@@ -1,4 +1,4 @@
-//! Captures and models that bench commands read.
+//! Captures and models that the bench commands read.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -7,19 +7,19 @@ use crate::cli::input;
 use relume_capture::{Capture, CaptureError, ImportOptions, import};
 use relume_scene::Model;
 
-/// A capture with its ground truth, its longest image side at most `resolution` pixels.
+/// Reads a capture with its ground truth. The longest image side is at most `resolution` pixels.
 pub(super) fn read_capture(path: &Path, resolution: u32) -> Result<Capture, CaptureError> {
     import(path, &ImportOptions { max_side: Some(resolution), ..ImportOptions::default() })
 }
 
-/// The file's or folder's name, or the whole path when it has none.
+/// The name of the file or folder, or the whole path if it has no name.
 pub(super) fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).display().to_string()
 }
 
 /// A trained model to measure.
 pub(super) struct BenchModel {
-    /// The file's name without its extension.
+    /// The file name without its extension.
     pub(super) name: String,
     pub(super) model: Arc<Model>,
 }
@@ -30,13 +30,13 @@ impl BenchModel {
         Ok(Self { name, model: Arc::new(input::read_model(path)?) })
     }
 
-    /// A text setting of its training, `-` when the card has none.
+    /// A text setting of the training; `-` if the card does not have it.
     pub(super) fn setting(&self, key: &str) -> String {
         let value = self.model.card.get("config").and_then(|c| c.get(key));
         value.and_then(|v| v.as_str()).unwrap_or("-").to_owned()
     }
 
-    /// Seconds of its training, if the card has them.
+    /// Seconds of the training, if the card has them.
     pub(super) fn training_seconds(&self) -> Option<f64> {
         self.model.card.get("training_seconds").and_then(serde_json::Value::as_f64)
     }

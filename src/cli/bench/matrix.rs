@@ -21,35 +21,35 @@ use relume_train::eval::figure;
 /// Options of `relume bench matrix`.
 #[derive(Debug, clap::Args)]
 pub(super) struct MatrixArgs {
-    /// Captures with held-out views and, for the relit columns, relit truth.
+    /// Captures with held-out views and, for the relit columns, ground-truth relit pictures.
     #[arg(required = true)]
     captures: Vec<PathBuf>,
-    /// `ablation` (the article's rows and additions), `orders` (visibility orders 0 to 6), `methods` (models of published
-    /// systems, as `train --method`), or a JSON file: `[{"name": "...", "overrides": {...}}, ...]`.
+    /// `ablation` (the rows of the article and additional features), `orders` (SH degrees of visibility, 0 to 6), `methods`
+    /// (models of published systems, as in `train --method`), or a JSON file: `[{"name": "...", "overrides": {...}}, ...]`.
     #[arg(long, default_value = "ablation")]
     variants: String,
-    /// Only these variants, by name, with commas.
+    /// Only the variants with these names, separated by commas.
     #[arg(long, value_delimiter = ',')]
     only: Vec<String>,
-    /// `draft`, `standard` or `high`.
+    /// Preset: `draft`, `standard` or `high`.
     #[arg(long, default_value = "draft", value_parser = named::<Preset>)]
     preset: Preset,
-    /// Longest image side, pixels, in training and comparison.
+    /// Longest image side in training and comparison, pixels.
     #[arg(long, default_value_t = 128, value_parser = clap::value_parser!(u32).range(16..=8192))]
     resolution: u32,
-    /// Optimisation steps; the preset's when absent.
+    /// Optimisation steps. Default: the number of the preset.
     #[arg(long)]
     iterations: Option<u32>,
     /// Held-out views to compare.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     views: u32,
-    /// Seed of every random choice.
+    /// Seed of all random choices.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`.
+    /// Device: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
-    /// The Markdown file to write, row by row; printed in any case.
+    /// The Markdown file to write, row by row. The report is also printed.
     #[arg(long)]
     out: Option<PathBuf>,
 }
@@ -62,7 +62,7 @@ struct Variant {
     overrides: Map<String, Value>,
 }
 
-/// The columns after capture and variant.
+/// The columns after the capture and the variant.
 const COLUMNS: [&str; 10] = [
     "novel, dB",
     "radiance, dB",
@@ -96,7 +96,7 @@ pub(super) fn run(args: &MatrixArgs) -> CommandResult {
             let line = row(cells(file_name(path), variant, &trained));
             print!("{line}");
             text += &line;
-            // Row by row, so that a sweep that is cut short keeps its results.
+            // The file is written after each row, so that an interrupted run keeps its results.
             if let Some(out) = &args.out {
                 output::write_named(out, text.as_bytes())?;
             }
@@ -105,7 +105,7 @@ pub(super) fn run(args: &MatrixArgs) -> CommandResult {
     Ok(())
 }
 
-/// Trains one variant and measures it.
+/// Trains and measures one variant.
 fn train(
     args: &MatrixArgs,
     device: &Device,
@@ -154,7 +154,7 @@ fn variants(args: &MatrixArgs) -> CommandResult<Vec<Variant>> {
         }
     };
     if let Some(unknown) = args.only.iter().find(|name| all.iter().all(|v| v.name != **name)) {
-        return Err(format!("--only {unknown}: there is no such variant").into());
+        return Err(format!("--only {unknown}: no variant has this name").into());
     }
     all.retain(|v| args.only.is_empty() || args.only.contains(&v.name));
     Ok(all)
@@ -168,10 +168,9 @@ fn variant(name: &str, overrides: Value) -> Variant {
     Variant { name: name.to_owned(), overrides }
 }
 
-/// Rows like those of the article's ablation, from no occlusion to everything, then one row for each addition of this
-/// engine.
+/// The rows of the article's ablation, from no occlusion to all features, then one row for each addition of this engine.
 fn ablation() -> Vec<Variant> {
-    // All settings of the forward model; shaded in the pixel, as in the article.
+    // All settings of the forward model, with shading per pixel as in the article.
     let form = |visibility: &str, diffuse: &str, indirect: &str| {
         let (visibility, diffuse, indirect) = (json!(visibility), json!(diffuse), json!(indirect));
         json!({"visibility": visibility, "diffuse": diffuse, "indirect": indirect, "shade_at": "pixel"})
@@ -205,13 +204,13 @@ fn ablation() -> Vec<Variant> {
     ]
 }
 
-/// Visibility orders.
+/// SH degrees of visibility.
 fn orders() -> Vec<Variant> {
     let one = |order: u32| variant(&format!("order {order}"), json!({"visibility_order": order}));
     [0, 2, 3, 4, 5, 6].map(one).into()
 }
 
-/// Models of published systems beside ours.
+/// Models of published systems and of Relume.
 fn methods() -> Vec<Variant> {
     let one = |method: Method| {
         let name = json!(method);
@@ -231,7 +230,7 @@ mod tests {
         for v in ablation().into_iter().chain(orders()).chain(methods()) {
             let overrides: TrainOverrides = serde_json::from_value(Value::Object(v.overrides)).unwrap();
             let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-            // These two are the default.
+            // These two equal the default configuration.
             let is_default = ["order 4", "relume"].contains(&v.name.as_str());
             assert!(is_default || !seen.contains(&config), "{} repeats another", v.name);
             seen.push(config);

@@ -1,4 +1,4 @@
-//! `relume bench`: measurements as Markdown tables, with the machine that they were made on.
+//! `relume bench`: measurements as Markdown tables, with the machine on which they were made.
 
 mod attribution;
 mod complexity;
@@ -28,25 +28,26 @@ pub(super) struct BenchArgs {
 #[derive(Debug, clap::Subcommand)]
 enum BenchCommand {
     #[cfg(feature = "gpu")]
-    /// Milliseconds per stage and step, frames a second and memory of a device, by number of Gaussians.
+    /// Measure a device by number of Gaussians: milliseconds per stage and step, frames per second, memory.
     Device(device::DeviceArgs),
-    /// Accuracy of each variant of the settings on each capture, in one table.
+    /// Train each capture with each variant of the settings; write the accuracies as one table.
     Matrix(matrix::MatrixArgs),
-    /// What each layer of a model costs its relit pictures, in dB: ground truth replaces one layer after the other.
+    /// Measure how much each layer of a model contributes to the error of relit pictures, in dB, by replacing layers with ground
+    /// truth.
     Attribution(attribution::AttributionArgs),
-    /// Poses that COLMAP finds for photographs, against those that their capture states.
+    /// Compare the poses that COLMAP finds for photographs with the poses in their capture.
     Poses(poses::BenchPosesArgs),
-    /// How fast jobs go through the queue when no worker computes anything, and what they leave in the database.
+    /// Measure the throughput of the job queue without training, and the database size per job.
     Queue(queue::QueueArgs),
-    /// Size, time and accuracy of trainings with all model features and with those that the scene requires.
+    /// Compare size, time and accuracy of trainings with all model features and with the features that the scene requires.
     Complexity(complexity::ComplexityArgs),
-    /// How long thumbnails take beside a training, uploads, renders and half-sent requests, and the memory of each.
+    /// Measure thumbnail latency and memory of the service during a training, uploads, renders and incomplete requests.
     Service(service::ServiceArgs),
-    /// What is left of the cast shadows of the photographs in the albedo of models.
+    /// Measure how much of the cast shadows of the photographs remains in the albedo of models.
     Shadow(shadow::ShadowArgs),
-    /// Time of every render tier against its error, by model; a table, a CSV and a plot.
+    /// Measure time and error of each rendering tier per model; write a table, a CSV file and a plot.
     Tradeoff(tradeoff::TradeoffArgs),
-    /// Error of the visibility that models learned, by the source of its labels.
+    /// Measure the error of the visibility that models learned, by the source of its labels.
     Visibility(visibility::VisibilityArgs),
 }
 

@@ -1,4 +1,4 @@
-//! `relume bench poses`: poses that COLMAP finds for the photographs of a capture, against those that it states.
+//! `relume bench poses`: compares the poses that COLMAP finds for the photographs of a capture with the capture's poses.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -15,13 +15,13 @@ use relume_train::eval::PoseErrors;
 /// Options of `relume bench poses`.
 #[derive(Debug, clap::Args)]
 pub(super) struct BenchPosesArgs {
-    /// Captures with poses that are taken to be true.
+    /// Captures whose poses are taken as ground truth.
     #[arg(required = true)]
     captures: Vec<PathBuf>,
-    /// Minutes for each.
+    /// Time limit for each capture, minutes.
     #[arg(long, default_value_t = 240)]
     time_limit: u64,
-    /// The Markdown file to write; printed in any case.
+    /// The Markdown file to write. The report is also printed.
     #[arg(long)]
     out: Option<PathBuf>,
 }
@@ -29,14 +29,14 @@ pub(super) struct BenchPosesArgs {
 pub(super) fn run(args: &BenchPosesArgs) -> CommandResult {
     let columns = ["photographs", "placed", "agree within 5°", "rotation, median °", "position, median", "s"];
     let mut text = format!(
-        "Poses found from the photographs alone, against those of the capture, after a rotation, a scale and a shift. Positions over \
-         the median distance of the cameras from their mean.\n\n{}",
+        "Poses found from the photographs alone, compared with those of the capture after a similarity alignment. Positions in \
+         units of the median distance of the cameras from their mean.\n\n{}",
         head(&["capture"], columns)
     );
     for path in &args.captures {
         let stated: BTreeMap<String, Camera> =
             cameras(path, &ImportLimits::default())?.into_iter().map(named).collect();
-        let none = || format!("{}: there are no photographs", path.display());
+        let none = || format!("{}: contains no photographs", path.display());
         let photographs =
             PhotosWithoutPoses::ignoring_poses(path, &ImportLimits::default())?.ok_or_else(none)?;
         let folder = tempfile::tempdir()?;
@@ -66,7 +66,7 @@ pub(super) fn run(args: &BenchPosesArgs) -> CommandResult {
     Ok(publish(&text, args.out.as_deref())?)
 }
 
-/// A camera by the name of its file: the folders of photographs are called differently.
+/// A camera, by the name of its file without folders, because the folders have other names.
 fn named(photo: PhotoCamera) -> (String, Camera) {
     let name = photo.name.rsplit('/').next().unwrap_or_default().to_owned();
     (name, photo.camera)

@@ -1,22 +1,22 @@
-//! Times of many repetitions.
+//! Quantiles of repeated time measurements.
 
-/// Times, in order.
+/// Times in ascending order.
 #[derive(Debug, Default)]
 pub(super) struct Quantiles(Vec<f64>);
 
 impl Quantiles {
-    /// Of times in any order.
+    /// Sorts the times.
     pub(super) fn of(mut times: Vec<f64>) -> Self {
         times.sort_by(f64::total_cmp);
         Self(times)
     }
 
-    /// How many there are.
+    /// The number of times.
     pub(super) fn count(&self) -> usize {
         self.0.len()
     }
 
-    /// The least time within which at least this share of them was; `None` of no times.
+    /// The smallest time within which at least this share of the operations ended; `None` if there are no times.
     pub(super) fn at(&self, share: f64) -> Option<f64> {
         let rank = (share * self.0.len() as f64).ceil() as usize;
         self.0.get(rank.saturating_sub(1)).copied()

@@ -1,4 +1,5 @@
-//! `relume bench queue`: how fast jobs go through the queue when no worker computes anything, and what they leave in the database.
+//! `relume bench queue`: measures the throughput of the job queue with workers that do no training, and the database size per
+//! job.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -24,23 +25,23 @@ use relume_spec::CaptureReport;
 const CLIENTS: u64 = 16;
 /// Steps of each job.
 const STEPS: i64 = 100;
-/// Time between two lists of jobs.
+/// Time between two requests for the list of jobs.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 const COLUMNS: [&str; 5] = ["times", "per second", "p50, ms", "p99, ms", "worst, ms"];
 
 /// Options of `relume bench queue`.
 #[derive(Debug, clap::Args)]
 pub(super) struct QueueArgs {
-    /// Jobs.
+    /// Number of jobs.
     #[arg(long, default_value_t = 10_000, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     jobs: u64,
-    /// Workers at a time.
+    /// Number of concurrent workers.
     #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=1024))]
     workers: u32,
-    /// Times that a worker says how far a job is.
+    /// Progress reports per job.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(i64).range(0..=1000))]
     reports: i64,
-    /// An empty PostgreSQL database, `postgres://user:password@host:5432/name`; a SQLite file in a temporary folder where absent.
+    /// An empty PostgreSQL database, `postgres://user:password@host:5432/name`. Default: a SQLite file in a temporary folder.
     #[arg(long, env = "RELUME_DATABASE_URL", hide_env_values = true, value_name = "URL")]
     database_url: Option<DatabaseUrl>,
     /// Also write the table to this file.
@@ -100,7 +101,7 @@ async fn measure(args: &QueueArgs) -> CommandResult<String> {
     Ok(text + &format!("\n{} bytes of the database a job.\n", bytes / args.jobs))
 }
 
-/// When something began.
+/// The start time of a measurement.
 struct Stopwatch(Instant);
 
 impl Stopwatch {
@@ -108,7 +109,7 @@ impl Stopwatch {
         Self(Instant::now())
     }
 
-    /// Rows of the operations that were done since, from their times in milliseconds.
+    /// Table rows of the operations since the start, from their times in milliseconds.
     fn end(&self, operations: &[(&str, Vec<Vec<f64>>)]) -> String {
         let seconds = self.0.elapsed().as_secs_f64();
         let line = |(name, times): &(&str, Vec<Vec<f64>>)| {
@@ -141,7 +142,7 @@ async fn insert_capture(store: &Store) -> Result<CaptureId, StoreError> {
     Ok(id)
 }
 
-/// Submits jobs one after the other. Returns the milliseconds of each.
+/// Submits jobs one after the other. Returns the milliseconds of each request.
 async fn submit(jobs: Jobs, capture: CaptureId, count: u64) -> Result<Vec<f64>, StoreError> {
     let mut times = Vec::new();
     for _ in 0..count {
@@ -153,7 +154,7 @@ async fn submit(jobs: Jobs, capture: CaptureId, count: u64) -> Result<Vec<f64>, 
     Ok(times)
 }
 
-/// Takes jobs until none waits. Returns the milliseconds of each claim, report and publication.
+/// Claims jobs until the queue is empty. Returns the milliseconds of each claim, report and publication.
 async fn work(jobs: Jobs, reports: i64, published: Arc<AtomicU64>) -> Result<[Vec<f64>; 3], StoreError> {
     let mut times: [Vec<f64>; 3] = Default::default();
     loop {
@@ -181,7 +182,7 @@ async fn work(jobs: Jobs, reports: i64, published: Arc<AtomicU64>) -> Result<[Ve
     }
 }
 
-/// Asks for the newest 50 jobs from time to time until it is done. Returns the milliseconds of each.
+/// Requests the newest 50 jobs periodically until `done` is set. Returns the milliseconds of each request.
 fn poll_jobs(jobs: Jobs, done: Arc<AtomicBool>) -> JoinHandle<Result<Vec<f64>, StoreError>> {
     tokio::spawn(async move {
         let mut times = Vec::new();

@@ -1,4 +1,4 @@
-//! `relume bench shadow`: how much of the cast shadows of the photographs is left in the albedo of models.
+//! `relume bench shadow`: measures how much of the cast shadows of the photographs remains in the albedo of models.
 
 use std::path::PathBuf;
 
@@ -11,33 +11,33 @@ use relume_scene::EnvMap;
 use relume_spec::rendering::{Output, Tier};
 use relume_train::render::Renderer;
 
-/// Cosine to +Z of normals that face up: one plane, which only shadows divide.
+/// Minimum cosine between +Z and the normal of level ground. On one plane only shadows change the light.
 const UP: f32 = 0.95;
-/// Darker true albedo has too little light to tell by.
+/// Minimum true albedo. Darker pixels do not show enough light.
 const MIN_ALBEDO: f32 = 0.05;
-/// Channels of the photograph from here on may be clipped.
+/// Channels of the photograph may be clipped from this value on.
 const CLIPPED: f32 = 0.95;
-/// Light on a lit pixel, and on one in shadow, over that on the brightest tenth.
+/// Light on a lit pixel and on a pixel in shadow, relative to the brightest tenth.
 const LIT: f32 = 0.8;
 const IN_SHADOW: f32 = 0.5;
 
 /// Options of `relume bench shadow`.
 #[derive(Debug, clap::Args)]
 pub(super) struct ShadowArgs {
-    /// A capture with held-out views, true albedo and true normals, in which something casts a shadow on level ground.
+    /// A capture with held-out views, true albedo and true normals, in which an object casts a shadow on level ground.
     capture: PathBuf,
-    /// Models of it.
+    /// Models of this capture.
     #[arg(required = true)]
     models: Vec<PathBuf>,
     /// Longest side of the views, pixels.
     #[arg(long, default_value_t = 400, value_parser = clap::value_parser!(u32).range(16..=8192))]
     resolution: u32,
-    /// The Markdown file to write; printed in any case.
+    /// The Markdown file to write. The report is also printed.
     #[arg(long)]
     out: Option<PathBuf>,
 }
 
-/// A pixel of the ground: the light on it, and the model's albedo over the true one.
+/// A pixel of the ground: its light, and the ratio of the model's albedo to the true albedo.
 struct GroundPixel {
     light: f32,
     albedo: f32,
@@ -63,7 +63,7 @@ pub(super) fn run(args: &ShadowArgs) -> CommandResult {
     Ok(publish(&text, args.out.as_deref())?)
 }
 
-/// The level ground that one view shows.
+/// The pixels of level ground in one view.
 fn ground_of(renderer: &Renderer, view: &CaptureView) -> CommandResult<Vec<GroundPixel>> {
     let (Some(albedo), Some(normal)) = (&view.truth.albedo, &view.truth.normal) else {
         return Err(format!("{}: has no true albedo or no true normals", view.name).into());

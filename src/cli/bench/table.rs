@@ -6,12 +6,12 @@ use std::path::Path;
 use crate::cli::output;
 use relume_engine::Device;
 
-/// A row of a table, with its newline.
+/// A table row with its newline.
 pub(super) fn row<T: Display>(cells: impl IntoIterator<Item = T>) -> String {
     cells.into_iter().fold("|".to_owned(), |row, cell| format!("{row} {cell} |")) + "\n"
 }
 
-/// A heading: `text` columns aligned to the left, then `numbers` aligned to the right.
+/// A table header: `text` columns, left-aligned, then `numbers` columns, right-aligned.
 pub(super) fn head<T: Display>(text: &[&str], numbers: impl IntoIterator<Item = T>) -> String {
     let numbers: Vec<String> = numbers.into_iter().map(|name| name.to_string()).collect();
     let names = row(text.iter().map(|name| (*name).to_owned()).chain(numbers.iter().cloned()));
@@ -24,7 +24,7 @@ pub(super) fn machine(device: &Device) -> String {
     format!("Device: {}; host with {threads} threads", device.name())
 }
 
-/// Prints a report, and writes it to a file if one is given.
+/// Prints a report and writes it to `out`, if given.
 pub(super) fn publish(report: &str, out: Option<&Path>) -> Result<(), String> {
     println!("{report}");
     out.map_or(Ok(()), |path| output::write_named(path, report.as_bytes()))

@@ -19,7 +19,7 @@ pub(super) struct Trained {
     pub(super) report: Report,
 }
 
-/// Trains on `capture` to the end and compares at most `views` held-out views, without frame rates.
+/// Trains on `capture` to the end and compares at most `views` held-out views. Frame rates are not measured.
 pub(super) fn train_and_evaluate(
     capture: &Capture,
     config: TrainConfig,

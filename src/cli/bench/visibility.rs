@@ -1,4 +1,4 @@
-//! `relume bench visibility`: the error of the visibility that models learned, by the source of its labels.
+//! `relume bench visibility`: measures the error of the visibility that models learned, by the source of its labels.
 
 use std::path::PathBuf;
 
@@ -18,7 +18,7 @@ use relume_spec::rendering::{Output, Tier};
 use relume_train::eval::evenly_spaced;
 use relume_train::render::Renderer;
 
-/// Least coverage of a surface point; pixels of less coverage are edges, which blend several surfaces.
+/// Minimum coverage of a surface point. Pixels with less coverage are edges, which blend several surfaces.
 const SOLID: f32 = 0.9;
 
 /// Options of `relume bench visibility`.
@@ -26,29 +26,29 @@ const SOLID: f32 = 0.9;
 pub(super) struct VisibilityArgs {
     /// A capture with held-out views and true ambient occlusion (`ao.png`).
     capture: PathBuf,
-    /// Models of it, one a label source.
+    /// Models of this capture, one per label source.
     #[arg(required = true)]
     models: Vec<PathBuf>,
     /// Longest side of the views, pixels.
     #[arg(long, default_value_t = 128, value_parser = clap::value_parser!(u32).range(16..=8192))]
     resolution: u32,
-    /// Held-out views, evenly spaced.
+    /// Number of held-out views, evenly spaced.
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     views: u32,
-    /// Surface points a view at which directions are compared, spread over its pixels.
+    /// Surface points per view at which directions are compared, spread over its pixels.
     #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..))]
     points: u32,
-    /// Directions compared at a point, over the whole sphere.
+    /// Directions to compare per point, over the whole sphere.
     #[arg(long, default_value_t = 512, value_parser = clap::value_parser!(u32).range(1..=65536))]
     directions: u32,
-    /// The Markdown file to write; printed in any case.
+    /// The Markdown file to write. The report is also printed.
     #[arg(long)]
     out: Option<PathBuf>,
 }
 
 pub(super) fn run(args: &VisibilityArgs) -> CommandResult {
     let capture = read_capture(&args.capture, args.resolution)?;
-    let figures = ["AO MAE", "AO correlation", "V(w) MAE", "of V = 1", "least at this order"];
+    let figures = ["AO MAE", "AO correlation", "V(w) MAE", "of V = 1", "minimum at this degree"];
     let mut text = format!(
         "CPU engine; {} px, {} held-out views, {} points a view, {} directions.\n\n{}",
         args.resolution,
@@ -89,7 +89,7 @@ fn measure(args: &VisibilityArgs, capture: &Capture, bench_model: &BenchModel) -
     Ok(row([bench_model.name.clone(), bench_model.setting("labels")].into_iter().chain(figures)))
 }
 
-/// Field and truth of each foreground pixel.
+/// Field and ground truth of each foreground pixel.
 fn ambient_occlusion(renderer: &Renderer, view: &CaptureView) -> CommandResult<Vec<[f64; 2]>> {
     let Some(truth) = &view.truth.ambient_occlusion else { return Ok(Vec::new()) };
     // The field does not depend on the light.
@@ -100,7 +100,7 @@ fn ambient_occlusion(renderer: &Renderer, view: &CaptureView) -> CommandResult<V
     Ok(pixels.filter(|(_, p)| p[3] > 0.5).map(|((a, b), _)| [f64::from(*a), f64::from(b[0])]).collect())
 }
 
-/// Error of the field in single directions against the transmittance of rays through the Gaussians.
+/// Error of the field in single directions relative to the transmittance of rays through the Gaussians.
 fn directional(
     args: &VisibilityArgs,
     model: &Model,
@@ -174,7 +174,7 @@ fn at_point(
     sum
 }
 
-/// A direction and the harmonics along it, zero beyond the order.
+/// A direction and its harmonics, zero above the SH degree.
 struct Towards {
     direction: [f32; 3],
     basis: [f32; 64],
@@ -190,7 +190,7 @@ fn basis(count: usize, sh_degree: usize) -> Vec<Towards> {
     fibonacci_sphere(count).into_iter().map(towards).collect()
 }
 
-/// `V(d)` of blended coefficients, as shading uses it.
+/// `V(d)` from blended coefficients, as in shading.
 fn field(form: VisibilityForm, coefficients: &[f32], towards: &Towards) -> f32 {
     let sum: f32 = towards.basis.iter().zip(coefficients).map(|(y, c)| y * c).sum();
     match form {
@@ -207,7 +207,7 @@ struct DirectionSums {
     error: f64,
     /// Error of a field that is 1 everywhere.
     of_open: f64,
-    /// Error of the truth itself, projected to the model's order and clamped: about the least of any field of that order.
+    /// Error of the ground truth projected to the model's SH degree and clamped: about the minimum of any field of that degree.
     of_projection: f64,
 }
 
@@ -220,7 +220,7 @@ impl DirectionSums {
     }
 }
 
-/// Sums over pairs of a found and a true value.
+/// Sums over pairs of a recovered and a true value.
 #[derive(Default)]
 struct PairSums {
     count: f64,
@@ -243,7 +243,7 @@ impl PairSums {
         }
     }
 
-    /// Pearson's; 0 where one side is constant.
+    /// Pearson correlation; 0 if one side is constant.
     fn correlation(&self) -> f64 {
         let n = self.count;
         let covariance = self.product - self.sums[0] * self.sums[1] / n;

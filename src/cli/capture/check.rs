@@ -7,7 +7,7 @@ use crate::cli::error::CommandResult;
 use relume_capture::check::{PhotoStats, PhotographsReport, check_photographs};
 use relume_capture::{ImportLimits, PhotosWithoutPoses};
 
-/// Names of photographs that a line shows.
+/// Maximum number of photographs in one line.
 const SHOWN: usize = 12;
 
 /// Options of `relume capture check`.
@@ -15,13 +15,13 @@ const SHOWN: usize = 12;
 pub(super) struct CheckArgs {
     /// A folder, zip, tar or tar.gz of photographs, with or without poses.
     photographs: PathBuf,
-    /// Show a line for each photograph.
+    /// Print a line for each photograph.
     #[arg(long)]
     each: bool,
 }
 
 pub(super) fn run(args: &CheckArgs) -> CommandResult<ExitCode> {
-    let none = || format!("{}: there are no photographs", args.photographs.display());
+    let none = || format!("{}: contains no photographs", args.photographs.display());
     let photographs =
         PhotosWithoutPoses::ignoring_poses(&args.photographs, &ImportLimits::default())?.ok_or_else(none)?;
     let report = check_photographs(&photographs);
@@ -34,7 +34,7 @@ pub(super) fn run(args: &CheckArgs) -> CommandResult<ExitCode> {
 fn lines(report: &PhotographsReport, each: bool) -> Vec<String> {
     let mut lines = Vec::new();
     if each {
-        lines.push("photograph  size  sharpness  brightness  clipped  resembles the nearest".to_owned());
+        lines.push("photograph  size  sharpness  brightness  clipped  similarity to the nearest".to_owned());
         lines.extend(report.photos.iter().map(line));
     }
     let range = |of: fn(&PhotoStats) -> f64| {
@@ -50,7 +50,7 @@ fn lines(report: &PhotographsReport, each: bool) -> Vec<String> {
             sharpness.0, sharpness.1, brightness.0, brightness.1
         ));
         lines.push(format!(
-            "each resembles its nearest by {:.2} to {:.2} (1 is the same picture)",
+            "similarity of each to its nearest {:.2} to {:.2} (1 is the same image)",
             overlap.0, overlap.1
         ));
         lines.extend(camera(&report.photos));
@@ -65,7 +65,8 @@ fn lines(report: &PhotographsReport, each: bool) -> Vec<String> {
             lines.push(format!("    {shown}{more}"));
         }
     }
-    let conclusion = if report.has_problems() { "not fit to be trained on" } else { "fit to be trained on" };
+    let conclusion =
+        if report.has_problems() { "not suitable for training" } else { "suitable for training" };
     lines.push(conclusion.to_owned());
     lines
 }
@@ -78,7 +79,7 @@ fn line(photo: &PhotoStats) -> String {
     )
 }
 
-/// What the camera noted of the first photograph, if anything.
+/// The camera settings (EXIF) of the first photograph, if any.
 fn camera(photos: &[PhotoStats]) -> Option<String> {
     let facts = &photos.first()?.camera;
     let parts = [
@@ -89,5 +90,5 @@ fn camera(photos: &[PhotoStats]) -> Option<String> {
         facts.iso.map(|iso| format!("ISO {iso:.0}")),
     ];
     let parts: Vec<String> = parts.into_iter().flatten().collect();
-    (!parts.is_empty()).then(|| format!("the camera noted, of the first: {}", parts.join(", ")))
+    (!parts.is_empty()).then(|| format!("camera settings of the first: {}", parts.join(", ")))
 }

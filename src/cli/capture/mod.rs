@@ -1,4 +1,4 @@
-//! `relume capture`: what can be done with photographs before a training.
+//! `relume capture`: commands for photographs before a training.
 
 mod check;
 mod poses;
@@ -18,10 +18,10 @@ pub(super) struct CaptureArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum CaptureCommand {
-    /// Look at photographs before hours are spent: their number, blur, exposure, overlap and what the camera noted. Fails when they
-    /// are not fit to be trained on.
+    /// Check photographs before a training: number, blur, exposure, overlap and camera settings. Fails if they are not suitable
+    /// for training.
     Check(check::CheckArgs),
-    /// Find the poses of photographs or of a clip, with COLMAP and ffmpeg, and make a capture of them.
+    /// Find the poses of photographs or of a video clip, with COLMAP and ffmpeg, and make a capture of them.
     Poses(poses::CapturePosesArgs),
 }
 

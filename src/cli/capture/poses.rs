@@ -1,4 +1,4 @@
-//! Photographs or a clip in, a capture with poses out.
+//! `relume capture poses`: turns photographs without poses or a video clip into a capture with poses.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -11,13 +11,13 @@ use relume_capture::poses::{
 };
 use relume_capture::{ImportLimits, PhotosWithoutPoses};
 
-/// How poses are found where photographs have none.
+/// Options for finding the poses of photographs.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct PoseArgs {
-    /// Minutes after which COLMAP and ffmpeg are stopped.
+    /// Time limit of COLMAP and ffmpeg, minutes.
     #[arg(long, value_name = "MINUTES", default_value_t = 240, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pose_time_limit: u64,
-    /// Frames to take from a clip: the sharpest of so many intervals.
+    /// Number of frames to extract from a clip. The clip is divided into as many intervals; each yields its sharpest frame.
     #[arg(long, value_name = "FRAMES", default_value_t = 80, value_parser = clap::value_parser!(u32).range(3..=2000))]
     clip_frames: u32,
 }
@@ -25,11 +25,11 @@ pub(in crate::cli) struct PoseArgs {
 /// Options of `relume capture poses`.
 #[derive(Debug, clap::Args)]
 pub(super) struct CapturePosesArgs {
-    /// A folder, zip, tar or tar.gz of photographs, or a clip (.mp4, .mov, .mkv, .webm).
+    /// A folder, zip, tar or tar.gz of photographs, or a video clip (.mp4, .mov, .mkv, .webm).
     photographs: PathBuf,
     #[command(flatten)]
     how: PoseArgs,
-    /// The folder to make. Beside the photographs, with `.poses` at its end, when absent.
+    /// The folder to create. Default: beside the photographs, with the suffix `.poses`.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
 }
@@ -38,27 +38,27 @@ pub(super) fn run(args: &CapturePosesArgs) -> CommandResult {
     let capture = find(&args.photographs, args.out.as_deref(), &args.how)?;
     match capture {
         Some(capture) => println!("{}", capture.display()),
-        None => return Err(format!("{}: has poses already", args.photographs.display()).into()),
+        None => return Err(format!("{}: already has poses", args.photographs.display()).into()),
     }
     Ok(())
 }
 
-/// The capture to train on: `input` itself where it states poses, else the one that is made of it.
+/// The capture to train on: `input` if it has poses, otherwise the capture that is made of it.
 pub(in crate::cli) fn posed(input: &Path, args: &PoseArgs) -> CommandResult<PathBuf> {
     Ok(find(input, None, args)?.unwrap_or_else(|| input.to_owned()))
 }
 
-/// Makes a capture of photographs without poses or of a clip; `None` where there are none of these.
+/// Makes a capture of photographs without poses or of a clip; `None` if `input` has poses.
 fn find(input: &Path, out: Option<&Path>, args: &PoseArgs) -> CommandResult<Option<PathBuf>> {
     let mut shown = PoseProgressBar::new()?;
     let mut progress = |progress| shown.progress(progress);
-    // A program that is interrupted takes what it has started with it: they hear the same signal.
+    // No stop check is needed: an interrupt signal also reaches the child processes.
     let mut run_control =
         RunControl::new(Duration::from_secs(60 * args.pose_time_limit), &mut progress, &|| false);
     let photographs = if is_clip(input) {
         let frames = beside(input, "frames");
         if !frames.is_dir() {
-            eprintln!("{}: taking frames, into {}", input.display(), frames.display());
+            eprintln!("{}: extracting frames into {}", input.display(), frames.display());
             let options = ClipOptions { frames: args.clip_frames as usize, ..ClipOptions::default() };
             frames_of_clip(input, &frames, &options, &mut run_control)?;
         }
@@ -71,7 +71,7 @@ fn find(input: &Path, out: Option<&Path>, args: &PoseArgs) -> CommandResult<Opti
     };
     let into = out.map_or_else(|| beside(input, "poses"), Path::to_owned);
     eprintln!(
-        "{}: {} photographs without poses; COLMAP looks for them, into {}",
+        "{}: {} photographs without poses; finding poses with COLMAP, into {}",
         photographs.display(),
         photos_without_poses.photos().len(),
         into.display()
@@ -82,14 +82,14 @@ fn find(input: &Path, out: Option<&Path>, args: &PoseArgs) -> CommandResult<Opti
     let earlier = if poses.already_present { ", by an earlier run" } else { "" };
     eprintln!("{placed} of {} photographs have poses{earlier}", poses.photographs);
     if !poses.unregistered.is_empty() {
-        eprintln!("warning: without a pose, and left out: {}", poses.unregistered.join(", "));
+        eprintln!("warning: left out, because COLMAP found no pose: {}", poses.unregistered.join(", "));
     }
     Ok(Some(into))
 }
 
 /// `thing.ENDING` beside `thing`, `thing.zip` or `thing.mp4`.
 fn beside(input: &Path, ending: &str) -> PathBuf {
-    // A path like `.` has no name of its own.
+    // A path such as `.` has no file name.
     let whole = input.canonicalize().unwrap_or_else(|_| input.to_owned());
     let named = if input.file_name().is_some() { input } else { &whole };
     let mut name =
@@ -98,7 +98,7 @@ fn beside(input: &Path, ending: &str) -> PathBuf {
     named.with_file_name(name)
 }
 
-/// Progress on a terminal as a bar, else as lines.
+/// Shows progress as a bar on a terminal, otherwise as lines.
 struct PoseProgressBar {
     bar: ProgressBar,
     stage: Option<PoseStage>,

@@ -13,42 +13,43 @@ use relume_spec::rendering::{AlphaMode, Background, ColourDepth, Output, Primari
 pub(in crate::cli) struct RenderArgs {
     /// The model file.
     pub(super) model: PathBuf,
-    /// A `.hdr` or `.exr` file, the name of a built-in map, or `recovered`.
-    #[arg(long, default_value = "recovered")]
+    /// The light: a `.hdr` or `.exr` file, the name of a built-in map, or `recovered`.
+    #[arg(long, visible_alias = "environment", default_value = "recovered")]
     pub(super) env: String,
-    /// Turn of the light about +Z, degrees counter-clockwise.
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
+    /// Rotation of the light about +Z, degrees counter-clockwise.
+    #[arg(long, visible_alias = "environment-rotation", default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
     pub(super) rotation: f64,
-    /// Exposure of the light, and so of the picture, stops, -20 to 20.
+    /// Exposure of the light, and therefore of the image, stops, -20 to 20.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = up_to::<20>)]
     pub(super) exposure: f64,
     #[command(flatten)]
     pub(super) cameras: CameraArgs,
     #[command(flatten)]
     pub(super) quality: QualityArgs,
-    /// Outputs to render, separated by commas; a PNG or JPEG holds one, an EXR all. When absent `rgb`, of a model without
-    /// materials `radiance`.
+    /// Outputs to render, separated by commas. A PNG or JPEG contains one output, an EXR any number. Default: `rgb`; for a model
+    /// without materials `radiance`.
     #[arg(long, value_delimiter = ',', value_parser = named::<Output>)]
     pub(super) output: Vec<Output>,
-    /// Behind the model: `transparent` (JPEG shows white), `environment` or a colour like `f4f4f4`.
+    /// Background: `transparent` (white in a JPEG), `environment` or a colour such as `f4f4f4`.
     #[arg(long, default_value_t)]
     pub(super) background: Background,
-    /// How colours come to a display: `srgb`, `neutral`, `agx` or, in a 16-bit PNG, `linear`.
+    /// Tone curve for display colours: `srgb`, `neutral`, `agx` or, in a 16-bit PNG, `linear`.
     #[arg(long, default_value = "srgb", value_parser = named::<ToneCurve>)]
     pub(super) tone_curve: ToneCurve,
-    /// How an EXR stores colours: `float` (the default) or `half`.
+    /// Precision of the colours in an EXR: `float` (the default) or `half`.
     #[arg(long, value_parser = named::<ColourDepth>)]
     pub(super) colour_depth: Option<ColourDepth>,
-    /// Colours of an EXR: `premultiplied` (the default) or `straight`.
+    /// Alpha mode of the colours in an EXR: `premultiplied` (the default) or `straight`.
     #[arg(long, value_parser = named::<AlphaMode>)]
     pub(super) alpha: Option<AlphaMode>,
-    /// Primaries of an EXR's colours: `rec709` (the default) or `acescg`.
+    /// Primaries of the colours in an EXR: `rec709` (the default) or `acescg`.
     #[arg(long, value_parser = named::<Primaries>)]
     pub(super) primaries: Option<Primaries>,
-    /// Where to compute: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
+    /// Device: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists the devices.
     #[arg(long, default_value_t)]
     pub(super) device: DeviceChoice,
-    /// The image file to write: `.png`, `.jpg` or `.exr`. Of a sequence, with the place of the frame's number, e.g. `frames/%04d.exr`.
+    /// The image file to write: `.png`, `.jpg` or `.exr`. For a sequence the name contains a placeholder for the frame number,
+    /// e.g. `frames/%04d.exr`.
     #[arg(long, default_value = "frame.png")]
     pub(super) out: PathBuf,
     #[command(flatten)]
@@ -56,7 +57,7 @@ pub(in crate::cli) struct RenderArgs {
 }
 
 impl RenderArgs {
-    /// What was asked for, as far as `model` has it.
+    /// The requested outputs. Refuses outputs that `model` does not have.
     pub(super) fn outputs(&self, model: &Model) -> Result<Vec<Output>, String> {
         use Output::{Alpha, Depth, Normal, Radiance, Rgb};
         let relightable = model.has_materials();
@@ -66,80 +67,83 @@ impl RenderArgs {
         let of_any = |o: &Output| matches!(o, Radiance | Alpha | Depth | Normal);
         match relightable || self.output.iter().all(of_any) {
             true => Ok(self.output.clone()),
-            false => {
-                Err("--output: the model has no materials: only radiance, normal, depth and alpha".to_owned())
-            }
+            false => Err(
+                "--output: the model has no materials; only radiance, normal, depth and alpha are available"
+                    .to_owned(),
+            ),
         }
     }
 }
 
-/// From where a model is seen.
+/// Options for the camera.
 #[derive(Debug, clap::Args)]
 pub(super) struct CameraArgs {
-    /// Degrees around the model, counter-clockwise seen from above. 0, on the +x side, when absent, but of a capture without masks that
-    /// in the middle of its photographs.
+    /// Azimuth of the camera, degrees counter-clockwise seen from above; 0 is the +x side. Default: the azimuth of the model's
+    /// framing (models of captures without masks have one), otherwise 0.
     #[arg(long, allow_negative_numbers = true, value_parser = finite)]
     pub(super) azimuth: Option<f64>,
-    /// Degrees above the horizon, -90 to 90. 20 when absent, but of a capture without masks as `--azimuth`.
+    /// Elevation of the camera, degrees above the horizon, -90 to 90. Default: the elevation of the model's framing, otherwise
+    /// 20.
     #[arg(long, allow_negative_numbers = true, value_parser = up_to::<90>)]
     pub(super) elevation: Option<f64>,
-    /// Side of the image, pixels.
+    /// Width and height of the image, pixels.
     #[arg(long, default_value_t = 512, value_parser = clap::value_parser!(u32).range(1..=8192))]
     pub(super) size: u32,
-    /// Width and height of the image, pixels, in place of `--size`; cameras of a file that have another size are scaled.
+    /// Width and height of the image, pixels, in place of `--size`. Cameras of another size in a file are scaled.
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = resolution)]
     pub(super) resolution: Option<(u32, u32)>,
-    /// Cameras, one for each frame: a JSON file with `cameras` (as the API has them), nerfstudio's `camera_path` or the `frames` of a
-    /// transforms.json, or a folder with a COLMAP model.
+    /// A file with one camera per frame: a JSON file with `cameras` (as in the API), with a `camera_path` of nerfstudio or with
+    /// the `frames` of a transforms.json, or a folder with a COLMAP model.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["turntable", "azimuth", "elevation"])]
     pub(super) path: Option<PathBuf>,
-    /// nerfstudio's dataparser_transforms.json of the training that a `camera_path` was made in: brings its cameras back to the
-    /// world of the capture.
+    /// The dataparser_transforms.json of nerfstudio from the training in which a `camera_path` was made. It transforms the
+    /// cameras back to the world of the capture.
     #[arg(long, value_name = "FILE", requires = "path")]
     pub(super) path_world: Option<PathBuf>,
-    /// So many frames around the model, from `--azimuth` on.
+    /// Render a turntable of this number of frames around the model, starting at `--azimuth`.
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(super) turntable: Option<u32>,
-    /// Degrees that the camera of a turntable turns from the first frame to after the last, counter-clockwise; 0 for a camera that
-    /// stands still.
+    /// Degrees by which the camera of a turntable turns over the whole sequence, counter-clockwise; 0 for a static camera. The
+    /// next frame after the last one would complete the turn.
     #[arg(long, default_value_t = 360.0, allow_negative_numbers = true, value_parser = finite, requires = "turntable")]
     pub(super) camera_turn: f64,
-    /// Degrees that the light turns from the first frame to after the last, counter-clockwise, beside `--rotation`.
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
+    /// Degrees by which the light turns over the whole sequence, counter-clockwise, in addition to `--rotation`. The next frame
+    /// after the last one would complete the turn.
+    #[arg(long, visible_alias = "environment-turn", default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
     pub(super) env_turn: f64,
 }
 
-/// How the frames of a sequence are numbered and written.
+/// Options for the numbers and files of a sequence.
 #[derive(Debug, clap::Args)]
 pub(super) struct SequenceArgs {
     /// Number of the first frame.
     #[arg(long, default_value_t = 1)]
     pub(super) start_number: u32,
-    /// Only these frames, by their numbers: `7`, `1-10`, `1-100:10` or several with commas between. So a farm makes one sequence by many
-    /// tasks.
+    /// Only the frames with these numbers: `7`, `1-10`, `1-100:10` or several of these separated by commas. With it a render farm
+    /// can divide a sequence into tasks.
     #[arg(long, visible_alias = "frame", value_name = "NUMBERS")]
     pub(super) frames: Option<FrameList>,
-    /// Leave out frames whose file is there already: those of an earlier run with the same options.
+    /// Skip frames whose file already exists, from an earlier run with the same options.
     #[arg(long)]
     pub(super) resume: bool,
-    /// Frames a second, which an EXR notes.
+    /// Frame rate to store in an EXR, frames per second.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(super) fps: Option<u32>,
 }
 
-/// A number that is neither infinite nor no number.
+/// Parses a finite number.
 pub(in crate::cli) fn finite(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| "must be a number")?;
     if value.is_finite() { Ok(value) } else { Err("must be finite".to_owned()) }
 }
 
-/// A number of at most `LIMIT` either way.
+/// Parses a number from `-LIMIT` to `LIMIT`.
 pub(in crate::cli) fn up_to<const LIMIT: i32>(text: &str) -> Result<f64, String> {
     let value = finite(text)?;
     if value.abs() <= f64::from(LIMIT) { Ok(value) } else { Err(format!("must be -{LIMIT} to {LIMIT}")) }
 }
 
-/// A size in pixels, e.g. `1920x1080`.
+/// Parses a size in pixels, e.g. `1920x1080`.
 fn resolution(text: &str) -> Result<(u32, u32), String> {
     let side = |text: &str| text.parse().ok().filter(|side| (1..=8192).contains(side));
     let sides = text.split_once('x').and_then(|(width, height)| side(width).zip(side(height)));

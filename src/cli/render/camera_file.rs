@@ -12,13 +12,13 @@ use relume_api::problem::FieldError;
 use relume_capture::{ImportLimits, cameras_of_colmap};
 use relume_train::render::{FrameView, resized};
 
-/// Most frames of a file.
+/// Maximum number of frames in a file.
 const MAX_FRAMES: usize = 100_000;
 
-/// The views of the file or folder at `path`.
+/// Reads the views of the file or folder at `path`.
 ///
 /// # Errors
-/// Names the file and the field at fault.
+/// The error names the file and the invalid field.
 pub(super) fn read(path: &Path, args: &CameraArgs) -> Result<Vec<FrameView>, String> {
     let named = |error: String| format!("{}: {error}", path.display());
     if path.is_dir() {
@@ -39,17 +39,17 @@ fn read_world(file: &Path) -> Result<NerfstudioWorld, String> {
     Ok(world)
 }
 
-/// The views of a JSON file, whichever of its kinds it is.
+/// Parses the views of a JSON file of any supported kind.
 fn parse(bytes: &[u8], args: &CameraArgs, world: Option<&NerfstudioWorld>) -> Result<Vec<FrameView>, String> {
     let json: Value = serde_json::from_slice(bytes).map_err(|error| format!("is not valid JSON: {error}"))?;
     if world.is_some() && json.get("camera_path").is_none() {
-        return Err("--path-world is of files with a camera_path alone".to_owned());
+        return Err("--path-world can only be used with a file that has a camera_path".to_owned());
     }
     let size = args.resolution.unwrap_or((args.size, args.size));
     path_views(&json, size, world).map_err(|error| named_as_in_code(&error))
 }
 
-/// The field of an error as code would write it, e.g. `cameras[0].camera`, and what is wrong.
+/// The field and the detail of an error, with the field as in code, e.g. `cameras[0].camera`.
 fn named_as_in_code(error: &FieldError) -> String {
     let mut name = String::new();
     for part in error.pointer.split('/').skip(1) {
@@ -62,10 +62,10 @@ fn named_as_in_code(error: &FieldError) -> String {
     if name.is_empty() { error.detail.clone() } else { format!("{name}: {}", error.detail) }
 }
 
-/// The views at the resolution that was asked for.
+/// The views at the requested resolution.
 fn sized(views: Vec<FrameView>, args: &CameraArgs) -> Result<Vec<FrameView>, String> {
     if !(1..=MAX_FRAMES).contains(&views.len()) {
-        return Err(format!("has {} cameras; 1 to {MAX_FRAMES} are rendered", views.len()));
+        return Err(format!("has {} cameras; must have 1 to {MAX_FRAMES}", views.len()));
     }
     let Some(size) = args.resolution else { return Ok(views) };
     resized(views, size).map_err(|(i, why)| format!("camera {} {why}", i + 1))

@@ -1,8 +1,8 @@
-//! Which frames of a sequence are asked for, by their numbers.
+//! The requested frames of a sequence, by their numbers.
 
 use std::str::FromStr;
 
-/// Numbers of frames, as farms write them: `7`, `1-10`, `1-100:10`, or several of these with commas between.
+/// Frame numbers in the syntax of render farms: `7`, `1-10`, `1-100:10`, or several of these separated by commas.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct FrameList(Vec<Range>);
 
@@ -22,12 +22,14 @@ impl FrameList {
             .any(|r| (r.first..=r.last).contains(&number) && (number - r.first).is_multiple_of(r.step))
     }
 
-    /// Refuses numbers that a sequence from `first` to `last` does not have.
+    /// Refuses numbers outside `first` to `last`.
     pub(super) fn check(&self, first: u64, last: u64) -> Result<(), String> {
         let Self(ranges) = self;
         let outside = ranges.iter().flat_map(|r| [r.first, r.last]).find(|n| !(first..=last).contains(n));
         match outside {
-            Some(number) => Err(format!("--frames: there is no frame {number}: they are {first} to {last}")),
+            Some(number) => {
+                Err(format!("--frames: there is no frame {number}: the frames are {first} to {last}"))
+            }
             None => Ok(()),
         }
     }

@@ -1,4 +1,4 @@
-//! `relume render`: a model file and a light in, an image file or a sequence of them out.
+//! `relume render`: renders a model under a light, to one image file or a sequence.
 
 mod args;
 mod camera_file;
@@ -20,7 +20,7 @@ use session::RenderSession;
 pub(super) fn run(args: &RenderArgs) -> CommandResult {
     let format = format(&args.out)?;
     if format != FrameFormat::Exr && args.output.len() > 1 {
-        return Err("only an .exr holds several outputs".into());
+        return Err("only an .exr can contain several outputs".into());
     }
     let numbering = numbering(args)?;
     let file_cameras = args.cameras.path.as_deref().map(|file| camera_file::read(file, &args.cameras));
@@ -34,7 +34,7 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
     }
 }
 
-/// How files are numbered; `None` where there is one picture.
+/// The numbering of the files; `None` for a single image.
 fn numbering(args: &RenderArgs) -> Result<Option<Numbering>, String> {
     let is_sequence = args.cameras.path.is_some() || args.cameras.turntable.is_some();
     let alone = [
@@ -45,7 +45,9 @@ fn numbering(args: &RenderArgs) -> Result<Option<Numbering>, String> {
         ("--path-world", args.cameras.path_world.is_some()),
     ];
     match alone.into_iter().find(|(_, is_given)| *is_given && !is_sequence) {
-        Some((option, _)) => Err(format!("{option} is of a sequence: it goes with --path or --turntable")),
+        Some((option, _)) => {
+            Err(format!("{option} applies to a sequence; it requires --path or --turntable"))
+        }
         None if is_sequence => Numbering::of(&args.out, args.sequence.start_number).map(Some),
         None => Ok(None),
     }

@@ -1,25 +1,25 @@
-//! Names of the files of a sequence.
+//! File names of a sequence.
 
 use std::path::{Path, PathBuf};
 
-/// A file name with the place of a frame's number.
+/// A file name with a placeholder for the frame number.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Numbering {
     before: String,
     after: String,
-    /// Digits at least.
+    /// Minimum number of digits.
     width: usize,
     first: u32,
 }
 
 impl Numbering {
-    /// What is asked of the name of a sequence.
-    pub(super) const WANTED: &str = "the name of a sequence has the place of the frame's number, once: %d, or %04d for at least four digits";
+    /// The requirement on the file name of a sequence.
+    pub(super) const WANTED: &str = "the file name of a sequence must contain one placeholder for the frame number: %d, or %04d for at least four digits";
 
-    /// The numbering of `out`, which has one `%d` or `%0Nd`; `first` is the number of the first frame.
+    /// The numbering of `out`, which must contain one `%d` or `%0Nd`. `first` is the number of the first frame.
     ///
     /// # Errors
-    /// Names the path.
+    /// The error names the path.
     pub(super) fn of(out: &Path, first: u32) -> Result<Self, String> {
         let refused = || format!("{}: {}", out.display(), Self::WANTED);
         let text = out.to_str().ok_or_else(|| format!("{}: is not Unicode", out.display()))?;
@@ -34,12 +34,12 @@ impl Numbering {
         Ok(Self { before: before.to_owned(), after: after.to_owned(), width, first })
     }
 
-    /// The number of the `index`-th frame, from 0.
+    /// The number of the frame with index `index`, from 0.
     pub(super) fn number(&self, index: usize) -> u64 {
         u64::from(self.first) + index as u64
     }
 
-    /// The file of the `index`-th frame, from 0.
+    /// The file of the frame with index `index`, from 0.
     pub(super) fn file(&self, index: usize) -> PathBuf {
         let Self { before, after, width, .. } = self;
         let number = self.number(index);

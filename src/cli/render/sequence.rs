@@ -1,4 +1,4 @@
-//! Frames in their order, each file whole or not there.
+//! Renders frames in order and writes each file atomically.
 
 use std::path::{Path, PathBuf};
 
@@ -12,15 +12,15 @@ use crate::cli::error::CommandResult;
 use crate::cli::output;
 use relume_train::render::FrameView;
 
-/// Writes one picture.
+/// Writes one image.
 pub(super) fn single(session: &RenderSession, view: &FrameView, out: &Path) -> CommandResult {
     output::write_named(out, &session.picture(view, &mut None)?)?;
     eprintln!("wrote {}", out.display());
     Ok(())
 }
 
-/// Writes the frames of `views` in their order, or those whose numbers are asked for. With `resume`, frames that are there are left
-/// as they are.
+/// Writes the frames of `views` in order, or only those with the requested numbers. With `resume`, existing files are not
+/// changed.
 pub(super) fn sequence(
     session: &RenderSession,
     views: &[FrameView],
@@ -36,7 +36,7 @@ pub(super) fn sequence(
             output::write_named(file, &session.picture(view, &mut light)?)?;
             written += 1;
         }
-        // Without a terminal there is no bar: twenty lines go to the log instead.
+        // Without a terminal the bar is hidden: about 20 lines are printed instead.
         if bar.is_hidden() && done.is_multiple_of((frames.len() / 20).max(1)) {
             eprintln!("frame {done}/{}  {}", frames.len(), file.display());
         }
@@ -45,12 +45,12 @@ pub(super) fn sequence(
     }
     bar.finish();
     let there = frames.len() - written;
-    let kept = if there > 0 { format!(", {there} were there already") } else { String::new() };
+    let kept = if there > 0 { format!(", {there} existed already") } else { String::new() };
     eprintln!("wrote {written} frames{kept}");
     Ok(())
 }
 
-/// The frames to be made, each with its file.
+/// The requested frames, each with its file.
 fn asked_for<'a>(
     views: &'a [FrameView],
     numbering: &Numbering,

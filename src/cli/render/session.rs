@@ -1,4 +1,4 @@
-//! A model and a light made ready once, and pictures of them.
+//! A model and a light that are prepared once for many images.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -12,26 +12,26 @@ use relume_scene::{Illumination, Model};
 use relume_spec::rendering::{Background, FrameFormat, Output, Quality, Tier};
 use relume_train::render::{EncodeOptions, FrameMetadata, FrameView, PreparedLight, Renderer, encode_frame};
 
-/// A model and a light, ready to be rendered many times.
+/// A model and a light, ready for rendering.
 pub(super) struct RenderSession {
     renderer: Renderer,
-    /// With its exposure, not turned.
+    /// The light with its exposure, not rotated.
     light: Illumination,
     quality: Quality,
     outputs: Vec<Output>,
     format: FrameFormat,
-    /// All but the camera and the turn of the light.
+    /// All encoding options except the camera and the rotation of the light.
     encoding: EncodeOptions,
 }
 
-/// A light that stands in one way.
+/// A prepared light at one rotation.
 pub(super) struct RotatedLight {
     rotation_deg: f64,
     prepared: PreparedLight,
 }
 
 impl RenderSession {
-    /// Reads the model and the light that `args` name; refuses what files of `format` cannot show.
+    /// Reads the model and the light in `args`. Refuses options that files of `format` do not support.
     pub(super) fn open(args: &RenderArgs, format: FrameFormat) -> CommandResult<Self> {
         let quality = args.quality.quality(Tier::default());
         let frame_metadata = FrameMetadata {
@@ -67,7 +67,8 @@ impl RenderSession {
         self.renderer.model()
     }
 
-    /// The picture file of a view. `light` is that of the last view, and is made anew where it stands otherwise.
+    /// Renders a view to the bytes of an image file. `light` is the light of the previous view; it is prepared again if its
+    /// rotation differs.
     pub(super) fn picture(
         &self,
         view: &FrameView,

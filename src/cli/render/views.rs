@@ -1,11 +1,11 @@
-//! What each frame shows: a camera, and how the light stands.
+//! The views of the frames: a camera and a rotation of the light each.
 
 use super::args::CameraArgs;
 use crate::cli::error::CommandResult;
 use relume_scene::Model;
 use relume_train::render::{FrameView, Turntable, orbit_camera, rotate_light};
 
-/// What the frames show, in their order: cameras of a file, a turntable or one picture.
+/// The views of the frames, in order: cameras of a file, a turntable or a single image.
 pub(super) fn views(
     args: &CameraArgs,
     file_cameras: Option<Vec<FrameView>>,

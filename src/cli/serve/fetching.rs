@@ -1,15 +1,15 @@
-//! Options about captures that the server fetches.
+//! Options for captures that the server fetches.
 
 use crate::server::{FetchOrigin, ServerConfig};
 
-/// Options about captures that the server fetches.
+/// Options for captures that the server fetches.
 #[derive(Debug, clap::Args)]
 pub(super) struct FetchArgs {
-    /// Fetch captures from this origin, e.g. `https://scans.example.org`, when a request names a URL there; may be repeated. From
-    /// nowhere when absent.
+    /// Origins from which the server may fetch captures, e.g. `https://scans.example.org`, separated by commas; repeatable. The
+    /// server fetches a capture if a request names a URL there. Default: none.
     #[arg(long, env = "RELUME_FETCH_FROM", value_name = "ORIGIN", value_delimiter = ',')]
     fetch_from: Vec<FetchOrigin>,
-    /// Fetch also where the address of such an origin is not public, as on this machine and in its network.
+    /// Fetch captures also from origins whose address is not public, such as loopback and private networks.
     #[arg(long, env = "RELUME_FETCH_ALLOW_PRIVATE")]
     fetch_allow_private: bool,
 }

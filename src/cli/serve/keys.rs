@@ -1,15 +1,16 @@
-//! Options about API keys.
+//! Options for API keys.
 
 use std::path::{Path, PathBuf};
 
 use crate::cli::CommandResult;
 use crate::server::ApiKeys;
 
-/// Options about API keys.
+/// Options for API keys.
 #[derive(Debug, clap::Args)]
 pub(super) struct KeyArgs {
-    /// Keys that may do everything in the tenant `default`, beside those of `relume keys`; several with commas, sent as
-    /// `Authorization: Bearer KEY`. Others on this machine see a command line: prefer the variable or a file.
+    /// API keys with all scopes in the tenant `default`, in addition to those of `relume keys`, separated by commas. Clients send
+    /// a key as `Authorization: Bearer KEY`. Prefer the variable or a file, because other users of this machine can read the
+    /// command line.
     #[arg(
         long = "api-key",
         env = "RELUME_API_KEYS",
@@ -18,13 +19,14 @@ pub(super) struct KeyArgs {
         value_parser = api_key
     )]
     api_keys: Vec<String>,
-    /// A file with more of them, one a line; read when the server starts. Empty lines and lines with # do not count.
+    /// A file with additional API keys, one per line. The server reads it at start and ignores empty lines and lines that begin
+    /// with #.
     #[arg(long, env = "RELUME_API_KEY_FILE", value_name = "FILE")]
     api_key_file: Option<PathBuf>,
 }
 
 impl KeyArgs {
-    /// The keys of the options and of the file.
+    /// The keys from the options and the file.
     pub(super) fn configured(self) -> CommandResult<ApiKeys> {
         let mut keys = self.api_keys;
         if let Some(path) = &self.api_key_file {
@@ -42,11 +44,11 @@ fn read(path: &Path) -> CommandResult<Vec<String>> {
             keys.push(api_key(line).map_err(|e| format!("{}, line {number}: {e}", path.display()))?);
         }
     }
-    if keys.is_empty() { Err(format!("{}: holds no key", path.display()).into()) } else { Ok(keys) }
+    if keys.is_empty() { Err(format!("{}: contains no key", path.display()).into()) } else { Ok(keys) }
 }
 
-/// A key that is too long to be guessed.
+/// Parses a key and refuses keys that are short enough to be guessed.
 fn api_key(text: &str) -> Result<String, String> {
     let key = text.trim();
-    if key.len() < 16 { Err("a key needs at least 16 characters".to_owned()) } else { Ok(key.to_owned()) }
+    if key.len() < 16 { Err("a key must have at least 16 characters".to_owned()) } else { Ok(key.to_owned()) }
 }

@@ -1,32 +1,32 @@
-//! Options about what trains in a server.
+//! Options for the local workers of a server.
 
 use crate::server::{ServerConfig, Trainers};
 use relume_engine::{AdapterReport, DeviceChoice, adapters};
 
-/// Options about what trains in a server.
+/// Options for the local workers of a server.
 #[derive(Debug, clap::Args)]
 pub(super) struct LocalWorkerArgs {
-    /// Train nothing here: workers elsewhere do (`relume worker`).
+    /// Start no local workers; only remote workers (`relume worker`) train.
     #[arg(long, env = "RELUME_NO_WORKER", conflicts_with = "devices")]
     no_worker: bool,
-    /// Devices that train, one job each at a time, separated by commas, or `all` graphics cards. Frames are rendered on the first. In
-    /// place of `--device`.
+    /// Devices of the local workers, separated by commas, or `all` for all graphics cards. Each device trains one job at a time.
+    /// The server renders frames on the first device. Replaces `--device`.
     #[arg(long, env = "RELUME_DEVICES", value_delimiter = ',')]
     devices: Vec<String>,
-    /// Be a server beside the first one of a database: answer, render and train, but take no files in, make no exports and delete
-    /// nothing. Needs artifacts that both reach.
+    /// Run as a replica, an additional server on the same database. It answers, renders and trains, but accepts no uploads, makes
+    /// no exports and deletes nothing. Requires artifacts that both servers can reach.
     #[arg(long, env = "RELUME_REPLICA", requires = "database_url")]
     replica: bool,
-    /// Labels of this server's workers that jobs may ask for, separated by commas.
+    /// Labels of the local workers, separated by commas. A job can require labels of its worker.
     #[arg(long, env = "RELUME_WORKER_LABELS", value_delimiter = ',')]
     worker_labels: Vec<String>,
 }
 
 impl LocalWorkerArgs {
-    /// Says so to a server.
+    /// Sets the options in a server's configuration.
     ///
     /// # Errors
-    /// When a device is none, or there is no card.
+    /// If a device is invalid, or if no graphics card exists.
     pub(super) fn apply(self, config: &mut ServerConfig) -> Result<(), String> {
         if let Some(why) = relume_api::work::validate_labels(&self.worker_labels) {
             return Err(format!("--worker-labels: {why}"));
@@ -53,10 +53,10 @@ fn chosen(devices: &[String]) -> Result<Vec<DeviceChoice>, String> {
         return devices.into_iter().map(named).collect();
     }
     let found = cards(&adapters());
-    if found.is_empty() { Err("--devices all: there is no graphics card".to_owned()) } else { Ok(found) }
+    if found.is_empty() { Err("--devices all: no graphics card found".to_owned()) } else { Ok(found) }
 }
 
-/// The graphics cards that can be used; software is none.
+/// The usable graphics cards, without software devices.
 fn cards(reports: &[AdapterReport]) -> Vec<DeviceChoice> {
     let is_card = |report: &AdapterReport| report.usable() && !report.software;
     let numbers = reports.iter().filter(|report| is_card(report));

@@ -25,10 +25,10 @@ mod webhooks;
 /// Options of `relume serve`.
 #[derive(Debug, clap::Args)]
 pub(super) struct ServeArgs {
-    /// Address to listen on. Anything but loopback needs an API key.
+    /// Address to listen on. An address other than loopback requires an API key.
     #[arg(long, env = "RELUME_LISTEN", default_value = "127.0.0.1:7878")]
     listen: SocketAddr,
-    /// Where everything is stored.
+    /// The data directory, in which the server stores its data.
     #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
     data_dir: PathBuf,
     #[command(flatten)]
@@ -37,34 +37,36 @@ pub(super) struct ServeArgs {
     artifacts: ArtifactsArgs,
     #[command(flatten)]
     keys: keys::KeyArgs,
-    /// Origins whose web pages may call the API, e.g. `https://app.example.org`, or `*` for all (needs an API key).
+    /// Origins whose web pages may call the API, separated by commas, e.g. `https://app.example.org`, or `*` for all (requires an
+    /// API key).
     #[arg(long = "cors-origin", env = "RELUME_CORS_ORIGINS", value_delimiter = ',')]
     cors_origins: Vec<CorsOrigin>,
-    /// Names beside localhost by which a server without an API key may be called, e.g. by a proxy on this machine.
+    /// Host names besides localhost under which clients may call a server without an API key, separated by commas, e.g. the name
+    /// of a proxy on this machine.
     #[arg(long = "allow-host", env = "RELUME_ALLOWED_HOSTS", value_delimiter = ',')]
     allowed_hosts: Vec<String>,
-    /// Largest capture archive: bytes, or a number with MiB, GiB or TiB.
+    /// Maximum size of a capture archive: bytes, or a number with MiB, GiB or TiB.
     #[arg(long, env = "RELUME_MAX_CAPTURE_BYTES", value_name = "SIZE", value_parser = storage::size, default_value = "16GiB")]
     max_capture_bytes: u64,
-    /// Largest photograph, megapixels.
+    /// Maximum size of a photograph, megapixels.
     #[arg(long, env = "RELUME_MAX_PHOTO_MEGAPIXELS", value_parser = clap::value_parser!(u64).range(1..=1000), default_value = "134")]
     max_photo_megapixels: u64,
-    /// Largest environment file: bytes, or a number with MiB, GiB or TiB.
+    /// Maximum size of an environment file: bytes, or a number with MiB, GiB or TiB.
     #[arg(long, env = "RELUME_MAX_ENVIRONMENT_BYTES", value_name = "SIZE", value_parser = storage::size, default_value = "256MiB")]
     max_environment_bytes: u64,
-    /// Where to train and render: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists them.
+    /// Device for training and rendering: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists the devices.
     #[arg(long, env = "RELUME_DEVICE", default_value_t)]
     device: DeviceChoice,
     #[command(flatten)]
     local_workers: local_workers::LocalWorkerArgs,
-    /// Attempts without a new checkpoint before a job is given up.
+    /// Maximum number of attempts without a new checkpoint before a job fails.
     #[arg(long, env = "RELUME_MAX_ATTEMPTS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     max_attempts: u32,
-    /// Seconds of silence after which a worker is taken for dead and its job given to another.
+    /// Seconds without a heartbeat after which the server considers a worker dead and gives its job to another worker.
     #[arg(long, env = "RELUME_WORKER_SILENCE", default_value_t = 60, value_parser = clap::value_parser!(u64).range(2..=3600))]
     worker_silence: u64,
-    /// Memory that requests take together at most, MiB; half of the machine's or the container's where absent. A request that
-    /// does not fit waits or gets 503; one that never fits gets 413.
+    /// Memory budget of all requests together, MiB. Default: half of the memory of the machine or container. A request that does
+    /// not fit waits or gets 503; a request that can never fit gets 413.
     #[arg(long = "memory", env = "RELUME_MEMORY", value_name = "MIB", value_parser = clap::value_parser!(u64).range(64..=1 << 24))]
     memory_mib: Option<u64>,
     #[command(flatten)]
@@ -113,7 +115,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     config.lease.max_idle_attempts = args.max_attempts;
     config.lease.heartbeat_timeout = Duration::from_secs(args.worker_silence);
     let listener = TcpListener::bind(args.listen).await?;
-    // With port 0 this line is how users and scripts learn the address.
+    // Users and scripts read the address from this line if the port is 0.
     println!("listening on http://{}", listener.local_addr()?);
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
@@ -121,7 +123,9 @@ async fn serve(args: ServeArgs) -> CommandResult {
         tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
         tokio::spawn(async move {
             tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
-            tracing::warn!("stopped without a checkpoint; the running job continues from its last one");
+            tracing::warn!(
+                "stopped without a new checkpoint; the running job will continue from its last checkpoint"
+            );
             std::process::exit(130);
         });
     };

@@ -1,56 +1,56 @@
-//! Options about what is stored and for how long.
+//! Options for storage and retention.
 
 use std::time::Duration;
 
 pub(super) use crate::cli::size::size;
 use crate::store::{ArtifactsRedirect, ObjectStoreConfig, Retention};
 
-/// Options about what is stored and for how long.
+/// Options for storage and retention.
 #[derive(Debug, clap::Args)]
 pub(super) struct StorageArgs {
-    /// Most that is stored: bytes, or a number with MiB, GiB or TiB. Uploads and jobs beyond it get 507. The disk alone is the
-    /// limit where absent.
+    /// Maximum total size of stored data: bytes, or a number with MiB, GiB or TiB. Uploads and jobs beyond it get 507. Default:
+    /// limited only by the disk.
     #[arg(long, env = "RELUME_MAX_DISK", value_name = "SIZE", value_parser = size)]
     pub(super) max_disk: Option<u64>,
-    /// Most that rendered thumbnails take in the data directory, beside `--max-disk`: bytes, or a number with MiB, GiB or TiB; 0 keeps
-    /// none. Those asked for longest ago go first. Backups leave them out.
+    /// Maximum size of cached thumbnails in the data directory, not counted towards `--max-disk`: bytes, or a number with MiB,
+    /// GiB or TiB; 0 disables the cache. The least recently requested thumbnails are removed first. Backups do not contain them.
     #[arg(long, env = "RELUME_THUMBNAIL_CACHE", value_name = "SIZE", value_parser = size_or_none, default_value = "256MiB")]
     pub(super) thumbnail_cache: u64,
-    /// Most that copies of artifacts take in the data directory where `--artifacts` has them: bytes, or a number with MiB, GiB or TiB.
-    /// Those used longest ago go first, and none that was used within ten minutes.
+    /// Maximum size of the local copies of artifacts if `--artifacts` names an object store: bytes, or a number with MiB, GiB or
+    /// TiB. The least recently used copies are removed first; copies used within the last ten minutes are not removed.
     #[arg(long, env = "RELUME_ARTIFACTS_CACHE", value_name = "SIZE", value_parser = size, default_value = "64GiB")]
     artifacts_cache: u64,
-    /// Send callers and workers to the object store of `--artifacts` for files, by URLs that are signed for a quarter of an hour, instead of
-    /// passing files on. With an endpoint, such as `https://objects.example.com`, where that is another one for them than for the server.
-    /// Browsers are served from here all the same.
+    /// Redirect clients and workers to the object store of `--artifacts` for files, by URLs that are signed for 15 minutes,
+    /// instead of passing files through the server. ENDPOINT, e.g. `https://objects.example.com`, is the address of the object
+    /// store for clients, if it differs from the server's. Browsers are not redirected.
     #[arg(long, env = "RELUME_ARTIFACTS_REDIRECT", value_name = "ENDPOINT", num_args = 0..=1, require_equals = true,
           default_missing_value = "same", requires = "url", value_parser = redirect)]
     artifacts_redirect: Option<ArtifactsRedirect>,
-    /// Days after which a job that has ended is deleted; its model stays. For ever where absent.
+    /// Days after which the server deletes a job that has ended; its model is kept. Default: never.
     #[arg(long, env = "RELUME_KEEP_JOBS", value_name = "DAYS", value_parser = days)]
     keep_jobs: Option<Duration>,
-    /// Days after its upload and its newest job after which a capture is deleted, unless a job may still need it. For ever where
-    /// absent.
+    /// Days after the upload and the newest job of a capture after which the server deletes the capture, unless a job may still
+    /// need it. Default: never.
     #[arg(long, env = "RELUME_KEEP_CAPTURES", value_name = "DAYS", value_parser = days)]
     keep_captures: Option<Duration>,
-    /// Days after which a model is deleted. For ever where absent.
+    /// Days after which the server deletes a model. Default: never.
     #[arg(long, env = "RELUME_KEEP_MODELS", value_name = "DAYS", value_parser = days)]
     keep_models: Option<Duration>,
-    /// Days after which an export that has ended is deleted; it can be made again. For ever where absent.
+    /// Days after which the server deletes an export that has ended; it can be made again. Default: never.
     #[arg(long, env = "RELUME_KEEP_EXPORTS", value_name = "DAYS", value_parser = days)]
     keep_exports: Option<Duration>,
-    /// Days after its last piece after which an upload in pieces is given up that no capture was made of.
+    /// Days after its last chunk after which the server deletes an unfinished resumable upload.
     #[arg(long, env = "RELUME_KEEP_UPLOADS", value_name = "DAYS", value_parser = days, default_value = "1")]
     keep_uploads: Duration,
 }
 
 impl StorageArgs {
-    /// How long unfinished uploads are kept.
+    /// The retention of unfinished uploads.
     pub(super) fn upload_life(&self) -> Duration {
         self.keep_uploads
     }
 
-    /// An object store of which no more than the bound is kept here.
+    /// The object store with the limits of its cache and the redirects.
     pub(super) fn bounded(&self, place: ObjectStoreConfig) -> ObjectStoreConfig {
         ObjectStoreConfig {
             cache_bytes: self.artifacts_cache,
@@ -69,14 +69,14 @@ impl StorageArgs {
     }
 }
 
-/// Days, whole or not.
+/// Parses days; fractions are allowed.
 fn days(text: &str) -> Result<Duration, String> {
     let wrong = || "must be days, above 0 and at most 36500".to_owned();
     let days: f64 = text.parse().map_err(|_| wrong())?;
     if days > 0.0 && days <= 36_500.0 { Ok(Duration::from_secs_f64(days * 86_400.0)) } else { Err(wrong()) }
 }
 
-/// Where callers find the object store.
+/// Parses the endpoint of the object store for clients.
 fn redirect(text: &str) -> Result<ArtifactsRedirect, String> {
     match text {
         "same" => Ok(ArtifactsRedirect::Same),
@@ -87,7 +87,7 @@ fn redirect(text: &str) -> Result<ArtifactsRedirect, String> {
     }
 }
 
-/// As [`size`], or 0.
+/// Parses a size as [`size`] does, or 0.
 fn size_or_none(text: &str) -> Result<u64, String> {
     if text.trim() == "0" { Ok(0) } else { size(text) }
 }

@@ -1,15 +1,15 @@
-//! Options about webhooks.
+//! Options for webhooks.
 
 use crate::server::ServerConfig;
 
-/// Options about webhooks.
+/// Options for webhooks.
 #[derive(Debug, clap::Args)]
 pub(super) struct WebhookArgs {
-    /// Accept webhooks at `http://`, where anybody on the way reads them.
+    /// Accept webhook URLs with `http://`. Such messages are not encrypted.
     #[arg(long, env = "RELUME_WEBHOOK_ALLOW_HTTP")]
     webhook_allow_http: bool,
-    /// Accept webhooks at addresses that are not public, as on this machine and in its network: whoever may make webhooks then
-    /// makes the server send requests there.
+    /// Accept webhook URLs whose address is not public, such as loopback and private networks. Callers that can create webhooks
+    /// can then make the server send requests to these addresses.
     #[arg(long, env = "RELUME_WEBHOOK_ALLOW_PRIVATE")]
     webhook_allow_private: bool,
 }

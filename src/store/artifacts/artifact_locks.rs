@@ -1,19 +1,19 @@
-//! One at a time for each key.
+//! A lock for each artifact key.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::{Mutex as AsyncMutex, OwnedMutexGuard};
 
-/// Keys that are kept though nobody works on them.
+/// Maximum number of unused locks in the map.
 const MAX_IDLE_LOCKS: usize = 1024;
 
-/// Who works on which key.
+/// The locks by key.
 #[derive(Default)]
 pub(super) struct ArtifactLocks(Mutex<HashMap<String, Arc<AsyncMutex<()>>>>);
 
 impl ArtifactLocks {
-    /// Waits until nobody else works on `key`.
+    /// Waits until no other task holds the lock of `key`.
     pub(super) async fn take(&self, key: &str) -> OwnedMutexGuard<()> {
         let lock = {
             let mut artifact_locks = self.0.lock().unwrap_or_else(PoisonError::into_inner);

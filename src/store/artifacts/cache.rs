@@ -1,20 +1,20 @@
-//! Which copies of what is in the object store are on this machine, and which of them go first.
+//! Tracks the local copies of objects and selects copies for eviction.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
-/// A file on this machine.
+/// A local copy.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CachedFile {
     pub(super) bytes: u64,
-    /// When it was used last.
+    /// Time of the last use.
     pub(super) used: SystemTime,
-    /// Whether the object store is known to have it.
+    /// Whether the object store is known to have the file.
     pub(super) is_in_object_store: bool,
 }
 
-/// The copies and the bound on them.
+/// The copies and the limit of their size.
 pub(super) struct Cache {
     most: u64,
     min_age: Duration,
@@ -26,27 +26,27 @@ impl Cache {
         Self { most, min_age, copies: Mutex::new(found) }
     }
 
-    /// A file was written that the object store has.
+    /// Adds a written file that is also in the object store.
     pub(super) fn add(&self, key: &str, bytes: u64) {
         self.lock()
             .insert(key.to_owned(), CachedFile { bytes, used: SystemTime::now(), is_in_object_store: true });
     }
 
-    /// A file is used.
+    /// Records a use of a file.
     pub(super) fn touch(&self, key: &str) {
         if let Some(copy) = self.lock().get_mut(key) {
             copy.used = SystemTime::now();
         }
     }
 
-    /// The object store is known to have this file.
+    /// Records that the object store has this file.
     pub(super) fn is_in_object_store(&self, key: &str) {
         if let Some(copy) = self.lock().get_mut(key) {
             copy.is_in_object_store = true;
         }
     }
 
-    /// Whether the object store may not have a file that is here.
+    /// Whether a local file may be missing in the object store.
     pub(super) fn is_local_only(&self, key: &str) -> bool {
         self.lock().get(key).is_some_and(|copy| !copy.is_in_object_store)
     }
@@ -55,13 +55,13 @@ impl Cache {
         self.lock().remove(key);
     }
 
-    /// A file that may go now: it was not used for as long as files stay.
+    /// A file that may be evicted, because it was not used within the minimum age.
     pub(super) fn idle(&self, key: &str) -> Option<CachedFile> {
         let found = self.lock().get(key).copied();
         found.filter(|copy| self.is_idle(copy))
     }
 
-    /// The files that are to go, for all to be within the bound: those used longest ago first, and none that was used lately.
+    /// The files to evict to keep the limit: the least recently used, but none that was used within the minimum age.
     pub(super) fn evictable(&self) -> Vec<String> {
         let copies = self.lock();
         let mut excess = copies.values().map(|copy| copy.bytes).sum::<u64>().saturating_sub(self.most);
@@ -79,7 +79,7 @@ impl Cache {
     }
 
     fn is_idle(&self, copy: &CachedFile) -> bool {
-        // A time that lies ahead was written by another clock.
+        // A time in the future was written by another clock.
         copy.used.elapsed().map_or(true, |since| since >= self.min_age)
     }
 

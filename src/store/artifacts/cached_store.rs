@@ -1,4 +1,4 @@
-//! What goes between the object store and the folder that is a cache of it.
+//! Transfers between the object store and the folder that caches it.
 
 use std::collections::HashMap;
 use std::io;
@@ -15,10 +15,10 @@ use crate::store::artifacts::remote::Remote;
 use crate::store::references::artifact_keys;
 use crate::store::verification::Verification;
 
-/// How often a file is fetched whose bytes are not those that were stored.
+/// Number of downloads of a file whose hash differs from the stored hash.
 const MAX_FETCHES: u32 = 2;
 
-/// The object store, and what of it is on this machine.
+/// The object store and the copies on this machine.
 pub(super) struct CachedStore {
     pub(super) remote: Remote,
     pub(super) cache: Cache,
@@ -27,7 +27,7 @@ pub(super) struct CachedStore {
 }
 
 impl CachedStore {
-    /// Looks at what is in the folder already. Blocks.
+    /// Reads the existing files of the folder. Blocks.
     pub(super) fn open(
         folder: &Path,
         config: &ObjectStoreConfig,
@@ -48,7 +48,8 @@ impl CachedStore {
         })
     }
 
-    /// Fetches a file to its place, through one in `folder` that is gone when it is not the right one. The caller has the turn.
+    /// Downloads a file to its path, through a temporary file in `folder` that is deleted if its hash differs. The caller must
+    /// hold the lock of the key.
     pub(super) async fn fetch(
         &self,
         key: &str,
@@ -63,7 +64,7 @@ impl CachedStore {
             let mut file = File::from_std(file);
             let (found, bytes) = self.remote.fetch(key, &mut file).await?;
             if found != sha256 {
-                tracing::warn!(key, sha256, found, "an artifact came otherwise than it was stored");
+                tracing::warn!(key, sha256, found, "a downloaded artifact differs from the stored one");
                 continue;
             }
             if let Some(folder) = path.parent() {
@@ -78,7 +79,7 @@ impl CachedStore {
         Err(StoreError::Damaged(key.to_owned()))
     }
 
-    /// Removes the copy of a file that is in the object store, unless it was used meanwhile.
+    /// Removes the local copy of a file that is in the object store, unless it was used in the meantime.
     pub(super) async fn drop_copy(&self, key: &str, path: &Path) -> Result<(), StoreError> {
         let _key_lock = self.artifact_locks.take(key).await;
         let Some(copy) = self.cache.idle(key) else { return Ok(()) };
@@ -87,9 +88,9 @@ impl CachedStore {
             return Ok(());
         }
         if !copy.is_in_object_store && self.remote.size(key).await? != Some(copy.bytes) {
-            // There may be no other. What the database names is sent there by the next server that starts.
+            // This may be the only copy. The next server that starts sends referenced files to the object store.
             self.cache.touch(key);
-            tracing::debug!(key, "the object store does not have this file: it stays");
+            tracing::debug!(key, "the object store does not have this file; the local copy is kept");
             return Ok(());
         }
         self.verification.forget(key);

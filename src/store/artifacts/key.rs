@@ -1,16 +1,16 @@
-//! Names of artifacts.
+//! Keys of artifacts.
 
 use std::path::{Component, Path};
 
 use crate::store::staged_upload::INCOMING;
 use crate::store::uploads::UPLOADS;
 
-/// Whether `key` stays within the folder of artifacts.
+/// Whether the path of `key` is within the artifact folder.
 pub(in crate::store) fn is_key(key: &str) -> bool {
     !key.is_empty() && Path::new(key).components().all(|part| matches!(part, Component::Normal(_)))
 }
 
-/// Whether an artifact never leaves this machine: an upload that is not complete, or that nothing was made of yet.
+/// Whether an artifact is never sent to the object store: an upload that is incomplete or not yet a capture.
 pub(in crate::store) fn is_never_uploaded(key: &str) -> bool {
     matches!(key.split('/').next(), None | Some("" | INCOMING | UPLOADS))
 }

@@ -1,10 +1,10 @@
-//! Artifacts: immutable bytes under keys, fsynced and hashed as they stream in.
+//! Stores artifacts: immutable bytes under keys, which are hashed and fsynced while they are written.
 //!
-//! Nothing is written in place. Bytes are written under `incoming/`, which only the running server uses, and are moved
-//! to their key when they are complete. Files that the server did not write are not touched.
+//! Files are not overwritten in place. Bytes are written under `incoming/`, which only the running server uses, and are moved to
+//! their key when they are complete. Files that the server did not write are not changed.
 //!
-//! With an object store that one has what is stored, and the folder is a cache of it: a file is sent there before anybody is told
-//! of it, and fetched from there when it is not here.
+//! With an object store, the object store is authoritative and the folder is a cache: a file is sent to the object store before
+//! its existence is reported, and is downloaded if there is no local copy.
 
 mod artifact_locks;
 mod cache;
@@ -50,7 +50,7 @@ impl Artifacts {
     /// Opens `root/artifacts`.
     ///
     /// # Errors
-    /// When the directory cannot be made.
+    /// If the directory cannot be created.
     pub fn open(root: &Path) -> Result<Self, StoreError> {
         let root = root.join("artifacts");
         std::fs::create_dir_all(&root)?;
@@ -58,19 +58,20 @@ impl Artifacts {
         Ok(Self { files: Arc::new(files), root, verification: Verification::default(), cached_store: None })
     }
 
-    /// The same folder as a cache of an object store. Nothing is asked of that yet.
+    /// Makes the folder a cache of an object store. Sends no request yet.
     ///
     /// # Errors
-    /// When a setting of it is missing or wrong, or the folder cannot be read.
+    /// If a setting is missing or invalid, or if the folder cannot be read.
     pub(super) fn with_object_store(mut self, config: &ObjectStoreConfig) -> Result<Self, StoreError> {
         self.cached_store = Some(Arc::new(CachedStore::open(&self.root, config, self.verification.clone())?));
         Ok(self)
     }
 
-    /// Removes what uploads of a server that died left under `incoming/`. The caller must hold the node lock.
+    /// Removes files that uploads of a terminated server left under `incoming/`. The caller must hold the lock of the data
+    /// directory.
     ///
     /// # Errors
-    /// When a left-over cannot be removed.
+    /// If a file cannot be removed.
     pub fn clean_up_incoming(&self) -> Result<(), StoreError> {
         match std::fs::remove_dir_all(self.incoming()) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
@@ -78,11 +79,11 @@ impl Artifacts {
         }
     }
 
-    /// Sends a complete file to the object store, if there is one, under the key that it is about to get. May take long: nothing that
-    /// others wait for should be held meanwhile.
+    /// Sends a complete file to the object store, if there is one, under its future key. This can take long, so the caller should
+    /// hold no lock that others wait for.
     ///
     /// # Errors
-    /// [`StoreError::ArtifactsUnreachable`] when it cannot be stored.
+    /// [`StoreError::ArtifactsUnreachable`] if it cannot be stored.
     pub(super) async fn upload_file(&self, path: &Path, key: &str) -> Result<(), StoreError> {
         match self.cached_store_for(key) {
             Some(cached_store) => cached_store.remote.put_file(key, path).await,
@@ -90,13 +91,13 @@ impl Artifacts {
         }
     }
 
-    /// Moves a complete upload to its key. Content-addressed keys may exist already: the bytes are the same. What
-    /// [`Artifacts::upload_file`] has sent is not sent again, unless somebody has removed it since.
+    /// Moves a complete upload to its key. A content-addressed key may already exist with the same bytes. A file that
+    /// [`Artifacts::upload_file`] has sent is sent again only if the object store no longer has it.
     ///
     /// # Errors
-    /// When the move fails; the upload is then deleted.
+    /// If the move fails. The upload is then deleted.
     pub async fn publish(&self, mut incoming: StagedUpload, key: &str) -> Result<(), StoreError> {
-        // Only a key that is made of the hash says what is there.
+        // Only a key that ends with the hash identifies the content.
         let is_there = async |cached_store: &CachedStore| match key.ends_with(&incoming.sha256) {
             true => Ok::<_, StoreError>(cached_store.remote.size(key).await? == Some(incoming.bytes)),
             false => Ok(false),
@@ -110,17 +111,17 @@ impl Artifacts {
         self.files.rename(&incoming.key, &Key::from(key)).await?;
         incoming.published = true;
         self.add_to_cache(key, incoming.bytes);
-        // Where both were names of one file already, a rename leaves both.
+        // If both paths are links to one file, a rename keeps both.
         match tokio::fs::remove_file(&incoming.path).await {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
             _ => Ok(()),
         }
     }
 
-    /// Writes a whole artifact and returns its sha256 in hex; durable when it returns.
+    /// Writes an artifact and returns its sha256 in hex. The artifact is durable on return.
     ///
     /// # Errors
-    /// [`StoreError::Full`] when the disk is full; nothing is at `key` then.
+    /// [`StoreError::Full`] if the disk is full. Then nothing is stored under `key`.
     pub async fn put(&self, key: &str, bytes: Vec<u8>) -> Result<String, StoreError> {
         let sha256 = hex(&Sha256::digest(&bytes));
         let Some(cached_store) = self.cached_store_for(key) else {
@@ -133,20 +134,20 @@ impl Artifacts {
         let key_lock = self.key_lock(key).await;
         match self.files.put(&Key::from(key), PutPayload::from(bytes)).await {
             Ok(_) => self.add_to_cache(key, size),
-            // It is stored all the same.
-            Err(error) => tracing::warn!(%error, key, "no copy of an artifact is kept on this machine"),
+            // The artifact is in the object store in any case.
+            Err(error) => tracing::warn!(%error, key, "cannot keep a local copy of an artifact"),
         }
         drop(key_lock);
         self.trim().await;
         Ok(sha256)
     }
 
-    /// Makes sure that an artifact is on this machine and compares it with the hash it was stored under. The file is read once a
-    /// process, and again when it changed. It stays long enough to be opened.
+    /// Downloads an artifact if there is no local copy, and compares it with its stored hash. A file is read once per process,
+    /// and again if it changed. The copy is kept long enough for the caller to open it.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] when they differ, [`StoreError::Missing`] when there is none,
-    /// [`StoreError::ArtifactsUnreachable`] when it is elsewhere and cannot be fetched.
+    /// [`StoreError::Damaged`] if the hash differs, [`StoreError::Missing`] if the artifact does not exist,
+    /// [`StoreError::ArtifactsUnreachable`] if it cannot be downloaded.
     pub async fn verify(&self, key: &str, sha256: &str) -> Result<(), StoreError> {
         let path = self.local_path(key);
         let Some(cached_store) = self.cached_store_for(key) else {
@@ -167,10 +168,10 @@ impl Artifacts {
         Ok(())
     }
 
-    /// Reads a whole artifact.
+    /// Reads an artifact.
     ///
     /// # Errors
-    /// [`StoreError::Missing`] when there is none.
+    /// [`StoreError::Missing`] if it does not exist.
     pub async fn get(&self, key: &str) -> Result<Bytes, StoreError> {
         let here = async { Ok(self.files.get(&Key::from(key)).await?.bytes().await?) };
         match (here.await, self.cached_store_for(key)) {
@@ -179,11 +180,11 @@ impl Artifacts {
         }
     }
 
-    /// A URL of the object store by which whoever has it may read an artifact for as long. `None` where callers are not sent there, and
-    /// for what only this machine has.
+    /// A URL of the object store that permits reading an artifact for the duration `lasts`. `None` if callers are not redirected
+    /// to the object store, or if the artifact exists only on this machine.
     ///
     /// # Errors
-    /// [`StoreError::ArtifactsUnreachable`] when credentials cannot be had.
+    /// [`StoreError::ArtifactsUnreachable`] if the credentials are not available.
     pub async fn signed_url(&self, key: &str, lasts: Duration) -> Result<Option<String>, StoreError> {
         match self.cached_store_for(key) {
             Some(cached_store) if !cached_store.cache.is_local_only(key) => {
@@ -196,7 +197,7 @@ impl Artifacts {
     /// Streams bytes `range` of an artifact.
     ///
     /// # Errors
-    /// [`StoreError::Missing`] when there is none.
+    /// [`StoreError::Missing`] if it does not exist.
     pub async fn stream(
         &self,
         key: &str,
@@ -213,10 +214,10 @@ impl Artifacts {
         }
     }
 
-    /// The size of an artifact; `None` when there is none.
+    /// The size of an artifact; `None` if it does not exist.
     ///
     /// # Errors
-    /// [`StoreError::ArtifactsUnreachable`] when it is not here and cannot be asked for elsewhere.
+    /// [`StoreError::ArtifactsUnreachable`] if there is no local copy and the object store cannot be reached.
     pub async fn size(&self, key: &str) -> Result<Option<u64>, StoreError> {
         match (tokio::fs::metadata(self.local_path(key)).await, self.cached_store_for(key)) {
             (Ok(file), _) => Ok(Some(file.len())),
@@ -225,7 +226,7 @@ impl Artifacts {
         }
     }
 
-    /// Removes an artifact that nothing refers to; that it is missing already is no error.
+    /// Removes an artifact without references. A missing artifact is not an error.
     pub async fn remove(&self, key: &str) {
         let _key_lock = self.key_lock(key).await;
         self.forget(key);
@@ -235,14 +236,15 @@ impl Artifacts {
         if let Some(cached_store) = self.cached_store_for(key)
             && let Err(error) = cached_store.remote.remove(key).await
         {
-            tracing::warn!(%error, key, "an artifact stays in the object store until a server starts");
+            tracing::warn!(%error, key, "an artifact was not removed from the object store; the next start of a server removes it");
         }
     }
 
-    /// Removes an artifact for good; that it is missing already is no error.
+    /// Removes an artifact permanently. A missing artifact is not an error.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] for what is no key: such a name may come with a database from elsewhere, and leads out of the store.
+    /// [`StoreError::Damaged`] for an invalid key. A database from another source may contain such a key, and its path may lead
+    /// out of the store.
     pub(super) async fn discard(&self, key: &str) -> Result<(), StoreError> {
         if !is_key(key) {
             return Err(StoreError::Damaged(key.to_owned()));
@@ -252,27 +254,27 @@ impl Artifacts {
         }
         let _key_lock = self.key_lock(key).await;
         self.forget(key);
-        // Not through the object store: it has no name for a file that it had not written to the end.
+        // The object store has no key for a file that was not written completely.
         match tokio::fs::remove_file(self.local_path(key)).await {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
             _ => Ok(()),
         }
     }
 
-    /// Removes copies that are too many. What cannot be removed now goes another time.
+    /// Removes excess local copies. A copy that cannot be removed now is removed later.
     pub async fn trim(&self) {
         let Some(cached_store) = &self.cached_store else { return };
         for key in cached_store.cache.evictable() {
             if let Err(error) = cached_store.drop_copy(&key, &self.local_path(&key)).await {
-                tracing::warn!(%error, key, "a copy of an artifact cannot be removed yet");
+                tracing::warn!(%error, key, "a local copy of an artifact cannot be removed yet");
             }
         }
     }
 
-    /// Whether the object store answers, if there is one.
+    /// Checks that the object store answers, if there is one.
     ///
     /// # Errors
-    /// [`StoreError::ArtifactsUnreachable`] when it does not.
+    /// [`StoreError::ArtifactsUnreachable`] if it does not answer.
     pub async fn ping(&self) -> Result<(), StoreError> {
         match &self.cached_store {
             Some(cached_store) => cached_store.remote.ping().await,
@@ -285,25 +287,26 @@ impl Artifacts {
         self.cached_store.as_deref().map(|cached_store| &cached_store.remote)
     }
 
-    /// The files themselves.
+    /// The local files.
     pub(super) fn files(&self) -> &LocalFileSystem {
         &self.files
     }
 
-    /// The folder of uploads in progress.
+    /// The folder of staged uploads.
     pub(super) fn incoming(&self) -> PathBuf {
         self.root.join(INCOMING)
     }
 
-    /// The path of an artifact on this machine: once it was verified, and for what never leaves it.
+    /// The local path of an artifact. It is valid after [`Artifacts::verify`], and for artifacts that are never sent to the
+    /// object store.
     pub fn local_path(&self, key: &str) -> PathBuf {
         self.root.join(key)
     }
 
-    /// Sends a file that only this machine has to the object store; `false` for one that stays here.
+    /// Sends a file that only this machine has to the object store; `false` for a file that is never sent.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] when its bytes are others than were stored, [`StoreError::ArtifactsUnreachable`].
+    /// [`StoreError::Damaged`] if its hash differs from the stored hash; [`StoreError::ArtifactsUnreachable`].
     pub(super) async fn upload_local(&self, key: &str, sha256: Option<&str>) -> Result<bool, StoreError> {
         let Some(cached_store) = self.cached_store_for(key) else { return Ok(false) };
         let (path, _key_lock) = (self.local_path(key), self.key_lock(key).await);
@@ -315,10 +318,10 @@ impl Artifacts {
         Ok(true)
     }
 
-    /// The keys of all that attempts of a job wrote, here and elsewhere.
+    /// The keys of all files that attempts of a job wrote, on this machine and in the object store.
     ///
     /// # Errors
-    /// When the folder cannot be read, or the object store not be asked.
+    /// If the folder cannot be read or the object store cannot be reached.
     pub(super) async fn of_job(&self, job: &str) -> Result<Vec<String>, StoreError> {
         let (root, id) = (self.root.clone(), job.to_owned());
         let here = tokio::task::spawn_blocking(move || of_job(&root, &id)).await;
@@ -332,14 +335,14 @@ impl Artifacts {
         Ok(keys)
     }
 
-    /// The object store is known to have this file.
+    /// Records that the object store has this file.
     pub(super) fn is_in_object_store(&self, key: &str) {
         if let Some(cached_store) = self.cached_store_for(key) {
             cached_store.cache.is_in_object_store(key);
         }
     }
 
-    /// A file that was written here is stored elsewhere, too.
+    /// Records that a file that was written here is also in the object store.
     pub(super) fn add_to_cache(&self, key: &str, bytes: u64) {
         if let Some(cached_store) = self.cached_store_for(key) {
             cached_store.cache.add(key, bytes);
@@ -353,7 +356,7 @@ impl Artifacts {
         }
     }
 
-    /// Nobody else writes or removes the copy of `key` meanwhile.
+    /// Prevents other tasks from writing or removing the copy of `key`.
     async fn key_lock(&self, key: &str) -> Option<tokio::sync::OwnedMutexGuard<()>> {
         match self.cached_store_for(key) {
             Some(cached_store) => Some(cached_store.artifact_locks.take(key).await),

@@ -1,4 +1,4 @@
-//! Where artifacts are that other machines read, too, and how it is reached.
+//! Configuration of the object store and its local cache.
 
 use std::fmt;
 use std::str::FromStr;
@@ -12,20 +12,20 @@ use object_store::path::Path as Key;
 use object_store::signer::Signer;
 use object_store::{ClientOptions, ObjectStore, RetryConfig};
 
-/// How long a connection may take.
+/// Timeout of a connection attempt.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
-/// How long a request is tried again.
+/// Time during which a failed request is retried.
 const RETRY_TIMEOUT: Duration = Duration::from_secs(10);
-/// How long an answer may bring nothing.
+/// Timeout without new bytes of a response.
 const STALL_TIMEOUT: Duration = Duration::from_secs(30);
-/// How long a copy stays that was used, however small the bound: whoever asked for it opens it meanwhile.
+/// Time for which a used copy is kept, independent of the size limit, so that the caller can open it.
 const CACHE_MIN_AGE: Duration = Duration::from_secs(600);
-/// Bytes of copies unless another bound is given.
+/// Default size limit of the local copies, bytes.
 const DEFAULT_CACHE_BYTES: u64 = 64 << 30;
-/// Bytes that are sent in one request.
+/// Size of a part of a multipart upload, bytes.
 const DEFAULT_PART_BYTES: usize = 8 << 20;
 
-/// Whose interface an object store has.
+/// The interface of an object store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Provider {
     S3,
@@ -33,8 +33,8 @@ enum Provider {
     Azure,
 }
 
-/// The bucket of an object store, and what all names in it begin with: `s3://BUCKET/PREFIX`, `gs://BUCKET/PREFIX` or
-/// `az://CONTAINER/PREFIX`. One for each database.
+/// The bucket of an object store and the prefix of all keys in it: `s3://BUCKET/PREFIX`, `gs://BUCKET/PREFIX` or
+/// `az://CONTAINER/PREFIX`. Each database requires its own prefix.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ArtifactsUrl {
     kind: Provider,
@@ -75,44 +75,44 @@ impl fmt::Display for ArtifactsUrl {
     }
 }
 
-/// An object store for artifacts, how patient its users are, and how much of it is kept on this machine.
+/// Location of the object store, timeouts, and size of the local cache.
 #[derive(Clone)]
 pub struct ObjectStoreConfig {
-    /// Where it is.
+    /// The location.
     pub url: ArtifactsUrl,
-    /// Bytes of copies on this machine; those used longest ago go first.
+    /// Size limit of the local copies, bytes. The least recently used copies are removed first.
     pub cache_bytes: u64,
-    /// How long a copy stays that was used, however small the bound.
+    /// Time for which a used copy is kept, independent of the size limit.
     pub cache_min_age: Duration,
-    /// How long a request is tried again.
+    /// Time during which a failed request is retried.
     pub retry_timeout: Duration,
-    /// How long an answer may bring nothing.
+    /// Timeout without new bytes of a response.
     pub stall_timeout: Duration,
-    /// Bytes that are sent in one request; 5 MiB at least.
+    /// Size of a part of a multipart upload, bytes; at least 5 MiB.
     pub part_bytes: usize,
     /// Credentials and endpoint, by the names of environment variables.
     pub settings: Vec<(String, String)>,
-    /// Whether callers are sent there for files, by URLs that are signed for them, and where it is for them.
+    /// Whether callers are redirected to the object store by signed URLs, and its endpoint for them.
     pub redirect: Option<ArtifactsRedirect>,
 }
 
-/// Where the object store is for those who are sent there.
+/// The endpoint of the object store for callers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ArtifactsRedirect {
-    /// Where it is for the server.
+    /// The endpoint that the server uses.
     Same,
-    /// At another endpoint, such as `https://objects.example.com`.
+    /// Another endpoint, such as `https://objects.example.com`.
     Endpoint(String),
 }
 
-/// An object store, and what makes URLs that let their holder in.
+/// The client of an object store, and its signer of URLs.
 pub(super) struct ObjectStoreClient {
     pub(super) objects: Arc<dyn ObjectStore>,
     pub(super) signer: Arc<dyn Signer>,
 }
 
 impl ObjectStoreConfig {
-    /// With `settings` by the names of environment variables: `AWS_...`, `GOOGLE_...` and `AZURE_...`.
+    /// A configuration with `settings` by the names of environment variables: `AWS_...`, `GOOGLE_...` and `AZURE_...`.
     pub fn new(url: ArtifactsUrl, settings: impl IntoIterator<Item = (String, String)>) -> Self {
         Self {
             url,
@@ -126,7 +126,7 @@ impl ObjectStoreConfig {
         }
     }
 
-    /// With the settings of the environment.
+    /// A configuration with the settings of the environment.
     pub fn from_env(url: ArtifactsUrl) -> Self {
         Self::new(
             url,
@@ -134,12 +134,12 @@ impl ObjectStoreConfig {
         )
     }
 
-    /// What all names begin with.
+    /// The prefix of all keys.
     pub(super) fn prefix(&self) -> &Key {
         &self.url.prefix
     }
 
-    /// What signs URLs for callers, if they are sent there.
+    /// The signer of URLs, if callers are redirected.
     ///
     /// # Errors
     /// As [`Self::connect`].
@@ -154,19 +154,19 @@ impl ObjectStoreConfig {
                     Provider::Google => "GOOGLE_BASE_URL",
                     Provider::Azure => "AZURE_STORAGE_ENDPOINT",
                 };
-                // The last one counts.
+                // The last value applies.
                 there.settings.push((name.to_owned(), endpoint.clone()));
             }
         }
         Ok(Some(there.connect()?.signer))
     }
 
-    /// Nothing is asked yet.
+    /// Creates the client. Sends no request yet.
     ///
     /// # Errors
-    /// When a setting is missing or wrong.
+    /// If a setting is missing or invalid.
     pub(super) fn connect(&self) -> object_store::Result<ObjectStoreClient> {
-        // Another provider of the process is as good.
+        // If the process already has a crypto provider, that one is used.
         tokio_rustls::rustls::crypto::ring::default_provider().install_default().ok();
         let client = ClientOptions::new()
             .with_timeout_disabled()

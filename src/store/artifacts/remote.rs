@@ -1,4 +1,4 @@
-//! The object store itself: whole files go in and come out, hashed on the way and never held in memory.
+//! The object store. Files are hashed during their transfer and never held in memory as a whole.
 
 use std::path::Path;
 use std::time::{Duration, SystemTime};
@@ -21,17 +21,17 @@ use crate::store::StoreError;
 use crate::store::artifacts::object_store_config::ObjectStoreConfig;
 use crate::store::hash::hex;
 
-/// Parts of a file that are under way at once.
+/// Concurrently uploaded parts of a file.
 const CONCURRENT_PARTS: usize = 4;
-/// Parts that a file may have: a little less than the 10,000 of S3.
+/// Maximum number of parts of a file, slightly below the 10,000 of S3.
 const MAX_PARTS: u64 = 9_000;
-/// How often a file is gone on with that brought nothing since the last time.
+/// Maximum number of consecutive resumes of a download without new bytes.
 const MAX_STALLED_RESUMES: u32 = 3;
-/// How often one is gone on with at all.
+/// Maximum number of resumes of a download.
 const MAX_RESUMES: u32 = 1_000;
-/// Between two tries.
+/// Delay between two attempts.
 const RETRY_INTERVAL: Duration = Duration::from_millis(200);
-/// How long a look may take that is only to tell whether there is an answer.
+/// Timeout of a request that only checks whether the object store answers.
 const PING_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// An object.
@@ -52,15 +52,15 @@ pub(in crate::store) struct Remote {
     objects: PrefixStore<Arc<dyn ObjectStore>>,
     part: usize,
     prefix: Key,
-    /// Signs URLs for callers who are sent there.
+    /// Signs URLs for callers that are redirected.
     signer: Option<Arc<dyn Signer>>,
 }
 
-/// What has come of a file.
+/// The state of a download.
 struct PartialDownload {
     hasher: Sha256,
     bytes: u64,
-    /// Its whole size, once that is known.
+    /// The total size, once known.
     size: Option<u64>,
 }
 
@@ -71,7 +71,7 @@ impl Remote {
         Ok(Self { objects, part: config.part_bytes, prefix, signer: config.signer()? })
     }
 
-    /// Stores bytes, in place of what was there.
+    /// Stores bytes; replaces an existing object.
     pub(in crate::store) async fn put(&self, key: &str, bytes: Bytes) -> Result<(), StoreError> {
         let to = Key::from(key);
         let size = bytes.len();
@@ -85,7 +85,7 @@ impl Remote {
         Ok(())
     }
 
-    /// Stores a file, in place of what was there.
+    /// Stores a file; replaces an existing object.
     pub(in crate::store) async fn put_file(&self, key: &str, path: &Path) -> Result<(), StoreError> {
         let (to, mut file) = (Key::from(key), File::open(path).await?);
         let size = file.metadata().await?.len();
@@ -111,10 +111,10 @@ impl Remote {
         Ok(WriteMultipart::new_with_chunk_size(upload, part))
     }
 
-    /// Writes an object to a file that is empty, or elsewhere; its hash and size. Where the connection breaks it goes on from there.
+    /// Downloads an object to `to` and returns its hash and size. After a broken connection it resumes the download.
     ///
     /// # Errors
-    /// [`StoreError::Missing`] when there is none; [`StoreError::ArtifactsUnreachable`] when nothing more of it comes.
+    /// [`StoreError::Missing`] if the object does not exist; [`StoreError::ArtifactsUnreachable`] if no more bytes arrive.
     pub(in crate::store) async fn fetch(
         &self,
         key: &str,
@@ -128,11 +128,11 @@ impl Remote {
                 Ok(()) => break,
                 Err(error @ StoreError::ArtifactsUnreachable(_)) => {
                     fruitless = if partial.bytes > before { 0 } else { fruitless + 1 };
-                    // One that never answered has been asked again for long enough.
+                    // A request without any answer has already been retried long enough.
                     if fruitless == MAX_STALLED_RESUMES || partial.size.is_none() {
                         return Err(error);
                     }
-                    tracing::info!(%error, key, bytes = partial.bytes, "goes on with an artifact that was cut off");
+                    tracing::info!(%error, key, bytes = partial.bytes, "resuming an interrupted download of an artifact");
                 }
                 Err(error) => return Err(error),
             }
@@ -181,13 +181,13 @@ impl Remote {
         Ok(found.into_stream().map_err(failed).boxed())
     }
 
-    /// Reads an object whole.
+    /// Reads an object.
     pub(in crate::store) async fn get(&self, key: &str) -> Result<Bytes, StoreError> {
         let found = self.objects.get(&Key::from(key)).await.map_err(|e| of(key, e))?;
         found.bytes().await.map_err(failed)
     }
 
-    /// The size of an object, if there is one.
+    /// The size of an object; `None` if it does not exist.
     pub(in crate::store) async fn size(&self, key: &str) -> Result<Option<u64>, StoreError> {
         match self.objects.head(&Key::from(key)).await {
             Ok(found) => Ok(Some(found.size)),
@@ -196,7 +196,7 @@ impl Remote {
         }
     }
 
-    /// A URL by which whoever has it may read an object for as long; `None` where nobody is sent there.
+    /// A URL that permits reading an object for a limited time; `None` if callers are not redirected.
     pub(in crate::store) async fn signed(
         &self,
         key: &str,
@@ -208,7 +208,7 @@ impl Remote {
         Ok(Some(url.into()))
     }
 
-    /// Removes an object; that there is none is no error.
+    /// Removes an object. A missing object is not an error.
     pub(in crate::store) async fn remove(&self, key: &str) -> Result<(), StoreError> {
         match self.objects.delete(&Key::from(key)).await {
             Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
@@ -221,13 +221,13 @@ impl Remote {
         self.objects.rename(&Key::from(from), &Key::from(to)).await.map_err(|e| of(from, e))
     }
 
-    /// Every object in a folder, `""` for all.
+    /// All objects in a folder; `""` for all folders.
     pub(in crate::store) async fn list(&self, folder: &str) -> Result<Vec<RemoteObject>, StoreError> {
         let found = self.objects.list(Some(&Key::from(folder))).map_ok(RemoteObject::from);
         found.map_err(failed).try_collect().await
     }
 
-    /// Answers when the object store does, and soon.
+    /// Checks that the object store answers within a few seconds.
     pub(in crate::store) async fn ping(&self) -> Result<(), StoreError> {
         let look = tokio::time::timeout(PING_TIMEOUT, self.size("captures/none")).await;
         look.map_err(|_| StoreError::ArtifactsUnreachable("it does not answer".to_owned()))?.map(drop)
@@ -246,7 +246,7 @@ async fn send(file: &mut File, upload: &mut WriteMultipart) -> Result<(), StoreE
     }
 }
 
-/// What became of a request about `key`.
+/// The error of a request about `key`.
 fn of(key: &str, error: Error) -> StoreError {
     match error {
         Error::NotFound { .. } => StoreError::Missing(key.to_owned()),
@@ -254,15 +254,15 @@ fn of(key: &str, error: Error) -> StoreError {
     }
 }
 
-/// Whatever else an object store says, nothing is wrong with what is stored: it is away, or lets nobody in.
+/// Any other error of the object store means that it is unreachable or refuses access, not that stored data are damaged.
 fn failed(error: Error) -> StoreError {
     StoreError::ArtifactsUnreachable(error.to_string())
 }
 
-/// The hash and size of an object, written to a new file.
+/// Downloads an object to a new file and returns its hash and size.
 ///
 /// # Errors
-/// As [`Remote::fetch`], or when the file cannot be written.
+/// As [`Remote::fetch`]; if the file cannot be written.
 pub(in crate::store) async fn fetch_to(
     remote: &Remote,
     key: &str,

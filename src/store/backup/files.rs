@@ -13,7 +13,7 @@ use crate::store::{StoreError, hex};
 /// A file of a backup.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct CopiedFile {
-    /// Its key in the artifact store, or the name of the database.
+    /// The key in the artifact store, or the name of the database.
     pub(super) key: String,
     /// Hash of its bytes, lower-case hex.
     pub(super) sha256: String,
@@ -21,7 +21,7 @@ pub(super) struct CopiedFile {
     pub(super) bytes: u64,
 }
 
-/// Copies a file to a new one and hashes it on the way; durable when it returns. After an error nothing is at `to`.
+/// Copies a file to a new file and returns its hash. The copy is durable on return. After an error nothing exists at `to`.
 pub(super) fn copy(key: &str, from: &Path, to: &Path) -> std::io::Result<CopiedFile> {
     let mut source = File::open(from)?;
     if let Some(folder) = to.parent() {
@@ -48,10 +48,10 @@ fn stream(key: &str, from: &mut File, to: &mut File) -> std::io::Result<CopiedFi
     }
 }
 
-/// Makes sure that a folder is there and empty. One that is made is its owner's alone.
+/// Makes sure that a folder exists and is empty. Creates it with access for its owner only.
 ///
 /// # Errors
-/// [`StoreError::NotEmpty`] when something is in it.
+/// [`StoreError::NotEmpty`] if the folder is not empty.
 pub(super) fn claim(folder: &Path) -> Result<(), StoreError> {
     make_private(folder)?;
     match std::fs::read_dir(folder)?.next() {
@@ -60,7 +60,7 @@ pub(super) fn claim(folder: &Path) -> Result<(), StoreError> {
     }
 }
 
-/// Makes durable which files are in a folder and the folders below it.
+/// Makes the directory entries in a folder and its subfolders durable.
 pub(super) fn sync_folders(folder: &Path) -> std::io::Result<()> {
     for entry in std::fs::read_dir(folder)? {
         let entry = entry?;
@@ -71,14 +71,14 @@ pub(super) fn sync_folders(folder: &Path) -> std::io::Result<()> {
     File::open(folder)?.sync_all()
 }
 
-/// Removes all that is in a folder that was claimed.
+/// Removes the contents of a claimed folder.
 pub(super) fn clear(folder: &Path) {
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
         let removed =
             if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
         if let Err(error) = removed {
-            tracing::warn!(%error, path = %path.display(), "what was made cannot be removed");
+            tracing::warn!(%error, path = %path.display(), "cannot remove an incomplete backup or data directory");
         }
     }
 }

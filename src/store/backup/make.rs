@@ -1,5 +1,5 @@
-//! A backup while a server works: a copy of the database at one moment, then the artifacts that this copy names. They never
-//! change, but one that is not needed any more may go before it is copied: then another copy of the database is taken.
+//! Makes a backup while a server runs: a snapshot of the database, then the artifacts that the snapshot references. Artifacts
+//! never change, but the server may remove one before it is copied. In this case another snapshot is made.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -17,15 +17,15 @@ use crate::store::references::{Reference, references};
 use crate::store::sql;
 use crate::store::{ObjectStoreConfig, StoreError};
 
-/// Copies of the database, until one is found whose artifacts are all there.
+/// Maximum number of snapshots, until all artifacts of one are available.
 const MAX_DATABASE_COPIES: usize = 5;
 
-/// Copies a data directory to a new folder, every artifact compared with its hash, with the database at `url` where that is not in
-/// the directory: in a backup it is a file of SQLite in any case. A server may work meanwhile.
+/// Copies a data directory to a new folder and compares each artifact with its hash. The database is at `url`, or in the
+/// directory. The backup contains it as a SQLite file in both cases. A server may run at the same time.
 ///
 /// # Errors
-/// [`StoreError::NotEmpty`] when there is something at `out`; [`StoreError::Damaged`] and [`StoreError::Missing`] when an artifact
-/// is. What was made is removed then.
+/// [`StoreError::NotEmpty`] if `out` is not empty; [`StoreError::Damaged`] or [`StoreError::Missing`] if an artifact is damaged
+/// or missing. The incomplete backup is then removed.
 pub async fn backup(
     root: &Path,
     url: Option<&DatabaseUrl>,
@@ -35,7 +35,7 @@ pub async fn backup(
     backup_with(root, url, None, out, now_ms).await
 }
 
-/// As [`backup`], with artifacts from an object store where they are not in the directory, or not as they were stored.
+/// As [`backup`]; downloads artifacts from an object store if they are missing in the directory or damaged.
 ///
 /// # Errors
 /// As [`backup`]; [`StoreError::ArtifactsUnreachable`].
@@ -78,7 +78,7 @@ async fn make(
     made
 }
 
-/// The database that is copied.
+/// The database to copy.
 enum BackupSource {
     File(SqlitePool),
     Server(Database),
@@ -99,7 +99,7 @@ async fn copy_all(source: &BackupSource, mut copies: Copies, now_ms: i64) -> Res
     finish(copies, &file, now_ms, missing.len()).await
 }
 
-/// Copies the database as it is at one moment, without unfinished uploads and exports; what that copy names.
+/// Copies a snapshot of the database without unfinished uploads and exports. Returns the artifacts that the copy references.
 async fn copy_database(source: &BackupSource, to: &Path) -> Result<Vec<Reference>, StoreError> {
     if to.exists() {
         std::fs::remove_file(to)?;
@@ -112,7 +112,7 @@ async fn copy_database(source: &BackupSource, to: &Path) -> Result<Vec<Reference
         }
         BackupSource::Server(database) => copy_to_file(database, to).await?,
     }
-    // What has arrived of unfinished uploads is not copied: their uploaders have it still.
+    // The data of unfinished uploads are not copied, because clients can send them again.
     let copy = DatabaseFile::open_copy(to, false).await?;
     sql::query("DELETE FROM uploads").execute(&copy).await?;
     // Exports can be made again.
@@ -122,7 +122,7 @@ async fn copy_database(source: &BackupSource, to: &Path) -> Result<Vec<Reference
     named
 }
 
-/// Jobs whose checkpoints were replaced too fast to be copied start over.
+/// Removes the checkpoints that were replaced before they could be copied. Their jobs restart from step 0.
 async fn forget_checkpoints(database: &Path, missing: &[String]) -> Result<(), StoreError> {
     let copy = DatabaseFile::open_copy(database, false).await?;
     for key in missing {
@@ -153,7 +153,7 @@ async fn finish(
     files.sort_by(|a, b| a.key.cmp(&b.key));
     let database = database.to_owned();
     let written = tokio::task::spawn_blocking(move || {
-        // Copied for an earlier copy of the database, and not needed by the last one.
+        // These files belong to an earlier snapshot, and the last snapshot does not reference them.
         for key in copies.files.into_keys() {
             std::fs::remove_file(artifact_path(&copies.out, &key))?;
         }
@@ -169,19 +169,19 @@ async fn finish(
     written.await.map_err(std::io::Error::other)?
 }
 
-/// The artifacts that were copied, by key.
+/// The copied artifacts, by key.
 struct Copies {
     root: PathBuf,
-    /// Where they are that are not here.
+    /// The object store with artifacts that are not in the data directory.
     remote: Option<Remote>,
     out: PathBuf,
     files: HashMap<String, CopiedFile>,
 }
 
 impl Copies {
-    /// Copies what is named and not copied yet; gives the keys of those that are not there.
+    /// Copies the referenced artifacts that are not copied yet. Returns the keys of those that do not exist.
     async fn add(&mut self, mut named: Vec<Reference>) -> Result<Vec<String>, StoreError> {
-        // Checkpoints are those that go soonest.
+        // Checkpoints are replaced first, so they are copied first.
         named.sort_by_key(|reference| !reference.owner.starts_with("checkpoint"));
         let mut missing = Vec::new();
         for reference in named {

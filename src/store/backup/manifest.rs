@@ -1,4 +1,4 @@
-//! What a backup consists of. The manifest is written last: a folder without one is no backup, or half of one.
+//! The list of files of a backup. The manifest is written last, so a folder without a manifest is not a complete backup.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use crate::store::backup::files::{CopiedFile, sync_folders};
 
 /// Name of the manifest in a backup.
 const MANIFEST: &str = "backup.json";
-/// Name of the database in a backup; another one than a server's, so that none starts on a backup by mistake.
+/// Name of the database in a backup. It differs from a server's, so that no server starts on a backup by mistake.
 pub(super) const DATABASE: &str = "backup.db";
 /// Version of the layout.
 const FORMAT: u32 = 1;
@@ -20,15 +20,15 @@ const FORMAT: u32 = 1;
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Manifest {
     format: u32,
-    /// Version of the program that made it.
+    /// Version of the program that made the backup.
     version: String,
     /// Schema of the database.
     pub(super) schema: i64,
-    /// When it was begun.
+    /// Start time of the backup.
     created_at: String,
     /// The database.
     pub(super) database: CopiedFile,
-    /// The artifacts that the database names.
+    /// The artifacts that the database references.
     pub(super) artifacts: Vec<CopiedFile>,
 }
 
@@ -43,7 +43,7 @@ impl Manifest {
         Self { format: FORMAT, version, schema, created_at, database, artifacts }
     }
 
-    /// Makes a folder a backup.
+    /// Writes the manifest, which completes the backup.
     pub(super) fn write(&self, backup: &Path) -> Result<(), StoreError> {
         sync_folders(backup)?;
         let text = serde_json::to_vec_pretty(self).map_err(std::io::Error::from)?;
@@ -57,7 +57,7 @@ impl Manifest {
     /// Reads the manifest of a backup.
     ///
     /// # Errors
-    /// [`StoreError::NoBackup`] when there is none or it cannot be understood.
+    /// [`StoreError::NoBackup`] if there is no manifest or it is invalid.
     pub(super) fn read(backup: &Path) -> Result<Self, StoreError> {
         let refused = |why: String| StoreError::NoBackup { path: backup.display().to_string(), why };
         let text = std::fs::read(backup.join(MANIFEST)).map_err(|error| match error.kind() {
@@ -69,16 +69,16 @@ impl Manifest {
         let manifest: Self =
             serde_json::from_slice(&text).map_err(|error| refused(format!("{MANIFEST}: {error}")))?;
         if manifest.format != FORMAT {
-            return Err(refused(format!("{MANIFEST}: format {} is not known", manifest.format)));
+            return Err(refused(format!("{MANIFEST}: format {} is not supported", manifest.format)));
         }
         match manifest.artifacts.iter().find(|file| !is_key(&file.key)) {
-            Some(file) => Err(refused(format!("{MANIFEST}: {:?} is no artifact", file.key))),
+            Some(file) => Err(refused(format!("{MANIFEST}: {:?} is not the key of an artifact", file.key))),
             None => Ok(manifest),
         }
     }
 }
 
-/// Where an artifact lies, in a backup as in a data directory.
+/// The path of an artifact, in a backup and in a data directory.
 pub(super) fn artifact_path(root: &Path, key: &str) -> PathBuf {
     root.join("artifacts").join(key)
 }

@@ -1,4 +1,4 @@
-//! Backups of a data directory, made while a server works, and data directories made from them.
+//! Backups of a data directory, made while a server runs, and restoration of data directories from them.
 
 mod files;
 mod make;
@@ -10,14 +10,14 @@ use files::CopiedFile;
 pub use make::{backup, backup_with};
 pub use restore::restore;
 
-/// What was copied.
+/// Summary of a backup.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Backup {
-    /// Artifacts.
+    /// Number of artifacts.
     pub artifacts: usize,
     /// Bytes of the database and the artifacts.
     pub bytes: u64,
-    /// Jobs whose checkpoints were replaced faster than they could be copied; they start over.
+    /// Jobs whose checkpoints were replaced before they could be copied. They restart from step 0.
     pub without_checkpoint: usize,
 }
 

@@ -1,4 +1,5 @@
-//! A data directory from a backup. The database gets its name last: until then no server starts on it.
+//! Restores a data directory from a backup. The database is renamed to its final name last, so no server starts on the directory
+//! before.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -12,11 +13,12 @@ use crate::store::references::{names, references};
 use crate::store::sql;
 use crate::store::{DataDirLock, RESTORING, StoreError};
 
-/// Makes a data directory from a backup, every file compared with its hash. Blocks while it copies.
+/// Makes a data directory from a backup and compares each file with its hash. Blocks during the copy.
 ///
 /// # Errors
-/// [`StoreError::NoBackup`] for a folder that is none or only half of one, [`StoreError::NotEmpty`] when there is something at `root`,
-/// [`StoreError::Damaged`] and [`StoreError::Missing`] when a file of the backup is. What was made is removed then.
+/// [`StoreError::NoBackup`] if the folder is not a complete backup, [`StoreError::NotEmpty`] if `root` is not empty,
+/// [`StoreError::Damaged`] or [`StoreError::Missing`] if a file of the backup is damaged or missing. The incomplete directory is
+/// then removed.
 pub async fn restore(backup: &Path, root: &Path) -> Result<Backup, StoreError> {
     let manifest = Manifest::read(backup)?;
     if manifest.schema > database::schema() {
@@ -30,7 +32,7 @@ pub async fn restore(backup: &Path, root: &Path) -> Result<Backup, StoreError> {
     if restored.is_err() {
         clear(root);
         if !was_there {
-            // An empty folder would start as a new server without keys.
+            // A server would start on an empty folder as a new server without keys.
             std::fs::remove_dir(root).ok();
         }
     }
@@ -62,7 +64,7 @@ fn copy_checked(expected: &CopiedFile, from: &Path, to: &Path) -> Result<(), Sto
     Ok(())
 }
 
-/// Whether the database is sound and everything is there that it names.
+/// Checks the integrity of the database and the existence of the artifacts that it references.
 async fn check(manifest: &Manifest, database: &Path) -> Result<(), StoreError> {
     let copy = DatabaseFile::open_copy(database, true).await?;
     let integrity: Vec<String> = sql::query_scalar("PRAGMA integrity_check(1)").fetch_all(&copy).await?;
@@ -74,9 +76,9 @@ async fn check(manifest: &Manifest, database: &Path) -> Result<(), StoreError> {
         return Err(StoreError::Damaged(DATABASE.to_owned()));
     }
     if let Some(name) = names(&copy).await?.into_iter().find(|name| !is_key(name)) {
-        return Err(StoreError::Damaged(format!("{DATABASE}, which names {name:?}")));
+        return Err(StoreError::Damaged(format!("{DATABASE} (it references {name:?})")));
     }
-    // An older database lacks columns that are asked for here; the manifest was made by the version that knew them.
+    // An older database lacks columns of this query. Its manifest was made by the version that has these columns.
     let named = if manifest.schema == database::schema() { references(&copy).await? } else { Vec::new() };
     copy.close().await;
     let there: HashMap<&str, &str> =

@@ -1,4 +1,4 @@
-//! The database: a file of SQLite, or a server of PostgreSQL that several nodes share. Both keep the same promises.
+//! The database: a SQLite file, or a PostgreSQL database that several servers share. Both give the same guarantees.
 
 mod postgres;
 mod sqlite;
@@ -16,14 +16,15 @@ pub(super) use postgres::{DatabaseServer, schema as server_schema};
 pub(super) use sqlite::{DatabaseFile, FILE, schema};
 pub use url::DatabaseUrl;
 
-/// Being the first server on a database: a lock that ends with its connection. A file of SQLite has the lock of its data directory.
+/// The lock of the first server on a database. It ends with its connection. A SQLite file is protected by the lock of its data
+/// directory.
 pub struct ServerLock(Option<(DatabaseServer, HeldLock)>);
 
 impl ServerLock {
-    /// Sees to it that the lock is still held: it is lost with its connection, e.g. when the database starts anew.
+    /// Checks that the lock is still held. It is lost with its connection, e.g. if the database restarts.
     ///
     /// # Errors
-    /// [`StoreError::DatabaseLocked`] when another server has it by now; when the database cannot be reached.
+    /// [`StoreError::DatabaseLocked`] if another server has taken it. When the database cannot be reached.
     pub async fn renew(&mut self) -> Result<(), StoreError> {
         match &mut self.0 {
             Some((server, held)) => server.keep(held).await,
@@ -32,12 +33,12 @@ impl ServerLock {
     }
 }
 
-/// Hears of what others write about jobs.
+/// Receives notifications of changes of jobs by other servers.
 pub struct JobChangeListener(Option<PgListener>);
 
 impl JobChangeListener {
-    /// Waits until something was written, or the connection was lost and is there again: then something may have been. A file of
-    /// SQLite has one process that writes, so there it waits for ever.
+    /// Waits for a change, or until a lost connection is restored, because a change may have been missed. A SQLite file has a
+    /// single writing process, so this waits forever.
     ///
     /// # Errors
     /// When the database cannot be reached.
@@ -49,10 +50,10 @@ impl JobChangeListener {
     }
 }
 
-/// A database that is only looked at.
+/// A database that is opened read-only.
 pub(super) struct ReadOnlyDatabase {
     pub(super) pool: Pool,
-    /// Number of the schema that this program knows for it.
+    /// The schema version that this program supports for it.
     pub(super) known: i64,
 }
 
@@ -64,7 +65,7 @@ pub(super) enum Database {
 }
 
 impl Database {
-    /// Opens `root/relume.db`, or the server at `url` (`postgres://...`), and migrates the schema.
+    /// Opens `root/relume.db` or the database at `url` (`postgres://...`), and migrates the schema.
     pub(super) async fn open(root: &Path, url: Option<&DatabaseUrl>) -> Result<Self, StoreError> {
         match url {
             None => Ok(Self::File(DatabaseFile::open(root).await?)),
@@ -72,7 +73,7 @@ impl Database {
         }
     }
 
-    /// What is there already, by one connection that changes nothing: `root/relume.db`, or the server at `url`.
+    /// Opens an existing database read-only with one connection: `root/relume.db` or the database at `url`.
     pub(super) async fn open_read_only(
         root: &Path,
         url: Option<&DatabaseUrl>,
@@ -88,7 +89,7 @@ impl Database {
         })
     }
 
-    /// A new file of SQLite of whichever name.
+    /// Creates a SQLite file with any name.
     pub(super) async fn create_file(file: &Path) -> Result<Self, StoreError> {
         Ok(Self::File(DatabaseFile::open_at(file).await?))
     }
@@ -101,7 +102,7 @@ impl Database {
         }
     }
 
-    /// A transaction that changes nothing and sees everything as it was at one moment.
+    /// A read-only transaction on a snapshot of the database.
     pub(super) async fn snapshot(&self) -> Result<Tx, StoreError> {
         match self {
             Self::File(file) => file.snapshot().await,
@@ -109,7 +110,7 @@ impl Database {
         }
     }
 
-    /// A transaction that changes something, one at a time: what it has read stays true until it ends.
+    /// A write transaction. Only one runs at a time, so values that it reads stay valid until it ends.
     pub(super) async fn write(&self) -> Result<Tx, StoreError> {
         match self {
             Self::File(file) => file.write().await,
@@ -117,8 +118,8 @@ impl Database {
         }
     }
 
-    /// A transaction whose first statement changes the one row that all of it is about. Where the database has several writers it
-    /// waits for nobody who writes something else.
+    /// A write transaction whose first statement changes the only row that it is about. If the database supports several writers,
+    /// it does not wait for writers of other rows.
     pub(super) async fn write_row(&self) -> Result<Tx, StoreError> {
         match self {
             Self::File(file) => file.write().await,
@@ -126,7 +127,7 @@ impl Database {
         }
     }
 
-    /// The time of a server, milliseconds since 1970 UTC; a file has none of its own.
+    /// The time of a database server, milliseconds since 1970 UTC; `None` for a file.
     pub(super) async fn time(&self) -> Result<Option<i64>, StoreError> {
         match self {
             Self::File(_) => Ok(None),
@@ -134,7 +135,7 @@ impl Database {
         }
     }
 
-    /// Becomes the first server on it.
+    /// Takes the lock of the first server.
     pub(super) async fn lock(&self) -> Result<ServerLock, StoreError> {
         Ok(ServerLock(match self {
             Self::File(_) => None,
@@ -142,7 +143,7 @@ impl Database {
         }))
     }
 
-    /// Who is told when somebody writes about a job.
+    /// Starts to listen for changes of jobs.
     pub(super) async fn listen(&self) -> Result<JobChangeListener, StoreError> {
         match self {
             Self::File(_) => Ok(JobChangeListener(None)),
@@ -150,7 +151,7 @@ impl Database {
         }
     }
 
-    /// Closes every connection.
+    /// Closes all connections.
     pub(super) async fn close(&self) {
         match self {
             Self::File(file) => file.close().await,

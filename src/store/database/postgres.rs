@@ -1,4 +1,4 @@
-//! A PostgreSQL server that several nodes share.
+//! A PostgreSQL database that several servers share.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,33 +13,33 @@ use crate::store::database::url::DatabaseUrl;
 use crate::store::sql::{Pool, Tx};
 
 static MIGRATIONS: Migrator = sqlx::migrate!("migrations/postgres");
-/// Connections of one server that read, and those that write: whoever waits to write keeps nobody from reading.
+/// Connections of one server for reading, and a separate pool for writing, so that waiting writers do not block readers.
 const READERS: u32 = 8;
 const WRITERS: u32 = 8;
-/// How long somebody waits for one.
+/// Timeout for obtaining a connection.
 const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(10);
-/// Key of the advisory lock that makes writers wait for each other: "relume" in ASCII.
+/// Key of the advisory lock that serialises writers: "relume" in ASCII.
 const WRITER_LOCK_KEY: i64 = 0x7265_6c75_6d65;
-/// Key of the advisory lock of the server that works on a database.
+/// Key of the advisory lock of the first server.
 const SERVER_LOCK_KEY: i64 = WRITER_LOCK_KEY + 1;
 
-/// How often a lost lock is asked for that somebody seems to have, and how long to wait in between.
+/// Number of attempts to retake a lost lock that seems to be held, and the delay between them.
 const MAX_LOCK_ATTEMPTS: u32 = 20;
 const LOCK_RETRY_INTERVAL: Duration = Duration::from_millis(250);
 
-/// The lock of the first server, and the end of its connection in the database.
+/// The lock of the first server, with the database backend of its connection.
 pub(super) struct HeldLock {
     connection: PgConnection,
     pid: i32,
     started: String,
 }
 
-/// Connections to one database of a server.
+/// Connections to one PostgreSQL database.
 #[derive(Clone)]
 pub(in crate::store) struct DatabaseServer {
     connections: PgPool,
     readers: Pool,
-    /// Who writes in this process. The others wait here, where that takes no connection.
+    /// Serialises the writers of this process, so that waiting writers use no connection.
     writing: Arc<Mutex<()>>,
 }
 
@@ -59,14 +59,14 @@ impl DatabaseServer {
         Ok(Self { connections, readers, writing: Arc::default() })
     }
 
-    /// One connection to the database at `url`, which changes nothing.
+    /// Opens one read-only connection to the database at `url`.
     pub(super) async fn open_read_only(url: &DatabaseUrl) -> Result<Pool, StoreError> {
         let options = (*url.0).clone().options([("default_transaction_read_only", "on")]);
         let pool = PgPoolOptions::new().max_connections(1).acquire_timeout(ACQUIRE_TIMEOUT);
         Ok(Pool::Postgres(pool.connect_with(options).await?))
     }
 
-    /// Whether the database at `url` has a table and `query` says so of it. Nothing is migrated.
+    /// Whether the database at `url` has `table` and `query` returns true. Does not migrate.
     pub(in crate::store) async fn has(
         url: &DatabaseUrl,
         table: &'static str,
@@ -80,7 +80,7 @@ impl DatabaseServer {
         Ok(found)
     }
 
-    /// Number of the schema of the database at `url`; 0 where there is none yet.
+    /// The schema version of the database at `url`; 0 if it has none.
     pub(in crate::store) async fn schema_of(url: &DatabaseUrl) -> Result<i64, StoreError> {
         let mut connection = PgConnection::connect_with(&url.0).await?;
         let there = sqlx::query_scalar("SELECT to_regclass('_sqlx_migrations') IS NOT NULL");
@@ -98,7 +98,7 @@ impl DatabaseServer {
         &self.readers
     }
 
-    /// A transaction that waits for those of all nodes that were begun so, and lets none begin before it has ended.
+    /// A transaction that is serialised with the write transactions of all servers.
     pub(super) async fn write(&self) -> Result<Tx, StoreError> {
         let waited = self.writing.clone().lock_owned().await;
         let mut tx = self.connections.begin().await?;
@@ -106,26 +106,26 @@ impl DatabaseServer {
         Ok(Tx::Postgres(tx, Some(waited)))
     }
 
-    /// A transaction that sees everything as it was at its first statement.
+    /// A transaction that sees a snapshot from its first statement.
     pub(super) async fn snapshot(&self) -> Result<Tx, StoreError> {
         let begin = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
         Ok(Tx::Postgres(self.connections.begin_with(begin).await?, None))
     }
 
-    /// A transaction that waits for the rows alone that it changes.
+    /// A transaction that waits only for the rows that it changes.
     pub(super) async fn begin(&self) -> Result<Tx, StoreError> {
         Ok(Tx::Postgres(self.connections.begin().await?, None))
     }
 
-    /// Its time, milliseconds since 1970 UTC.
+    /// The time of the database, milliseconds since 1970 UTC.
     pub(super) async fn time(&self) -> Result<i64, StoreError> {
         let query = sqlx::query_scalar("SELECT CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000 AS BIGINT)");
         Ok(query.fetch_one(&self.connections).await?)
     }
 
-    /// Becomes the first server on this database until what this returns is dropped, or its connection ends.
+    /// Takes the lock of the first server. It is held until the returned value is dropped or its connection ends.
     pub(super) async fn lock(&self) -> Result<HeldLock, StoreError> {
-        // A connection of its own, which no pool takes back.
+        // A separate connection that is not returned to the pool.
         let mut connection = self.connections.acquire().await?.detach();
         let query = sqlx::query_scalar("SELECT pg_try_advisory_lock($1)");
         if !query.bind(SERVER_LOCK_KEY).fetch_one(&mut connection).await? {
@@ -137,8 +137,8 @@ impl DatabaseServer {
         Ok(HeldLock { connection, pid, started })
     }
 
-    /// Takes the lock again if its connection was lost. The database may not know of that yet and hold the lock for it: its end is ended
-    /// there, too.
+    /// Takes the lock again if its connection was lost. The database may still hold the lock for the lost connection, so this
+    /// terminates the backend of that connection.
     pub(super) async fn keep(&self, held: &mut HeldLock) -> Result<(), StoreError> {
         if let Ok(Ok(())) = tokio::time::timeout(ACQUIRE_TIMEOUT, held.connection.ping()).await {
             return Ok(());
@@ -158,14 +158,14 @@ impl DatabaseServer {
         Err(StoreError::DatabaseLocked)
     }
 
-    /// A connection on which every node's writes about jobs are heard.
+    /// A connection that receives the notifications of all servers about jobs.
     pub(super) async fn listen(&self) -> Result<PgListener, StoreError> {
         let mut listener = PgListener::connect_with(&self.connections).await?;
         listener.listen("relume_jobs").await?;
         Ok(listener)
     }
 
-    /// Closes every connection.
+    /// Closes all connections.
     pub(super) async fn close(&self) {
         self.connections.close().await;
         if let Pool::Postgres(readers) = &self.readers {
@@ -174,7 +174,7 @@ impl DatabaseServer {
     }
 }
 
-/// Number of the schema of this version.
+/// The schema version of this program.
 pub(in crate::store) fn schema() -> i64 {
     MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
 }

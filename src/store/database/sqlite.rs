@@ -1,4 +1,5 @@
-//! A database file of SQLite: one connection that writes and several that read, so that what goes wrong with a write stays with it.
+//! A SQLite database file with one connection for writing and several for reading, so that a failed write does not affect
+//! readers.
 
 use std::path::Path;
 use std::time::Duration;
@@ -13,37 +14,37 @@ use crate::store::sql::{Pool, Tx};
 /// Name of the database in a data directory.
 pub(in crate::store) const FILE: &str = "relume.db";
 static MIGRATIONS: Migrator = sqlx::migrate!("migrations/sqlite");
-/// Connections that read.
+/// Connections for reading.
 const READERS: u32 = 8;
 
 /// Connections to one database file.
 #[derive(Clone)]
 pub(in crate::store) struct DatabaseFile {
-    /// One connection: SQLite has one writer at a time.
+    /// One connection, because SQLite allows one writer at a time.
     writer: SqlitePool,
-    /// These keep the WAL open, so that a writer can be replaced on a full disk.
+    /// Open readers keep the WAL open, so that the writer's connection can be replaced on a full disk.
     readers: SqlitePool,
     pool: Pool,
 }
 
 impl DatabaseFile {
-    /// Opens `root/relume.db`, creates it when it is missing and migrates the schema.
+    /// Opens `root/relume.db`, creates it if it does not exist, and migrates the schema.
     pub(in crate::store) async fn open(root: &Path) -> Result<Self, StoreError> {
         Self::connect(options(&root.join(FILE)).create_if_missing(true)).await
     }
 
-    /// As [`Self::open`], of a file of another name.
+    /// As [`Self::open`], for a file with another name.
     pub(super) async fn open_at(file: &Path) -> Result<Self, StoreError> {
         Self::connect(options(file).create_if_missing(true)).await
     }
 
-    /// One connection to the `root/relume.db` that is there, which changes nothing.
+    /// Opens one read-only connection to an existing `root/relume.db`.
     pub(in crate::store) async fn open_read_only(root: &Path) -> Result<SqlitePool, StoreError> {
         let options = options(&root.join(FILE)).pragma("query_only", "ON");
         Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options).await?)
     }
 
-    /// Number of the schema of the `root/relume.db` that is there.
+    /// The schema version of an existing `root/relume.db`.
     pub(in crate::store) async fn schema_of(root: &Path) -> Result<i64, StoreError> {
         let pool = Self::open_read_only(root).await?;
         let query = sqlx::query_scalar("SELECT MAX(version) FROM _sqlx_migrations");
@@ -52,12 +53,12 @@ impl DatabaseFile {
         Ok(found?)
     }
 
-    /// One connection to the `root/relume.db` that is there, to copy it.
+    /// Opens one connection to an existing `root/relume.db`, for copying.
     pub(in crate::store) async fn open_to_copy(root: &Path) -> Result<SqlitePool, StoreError> {
         Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options(&root.join(FILE))).await?)
     }
 
-    /// One connection to a copy of a database, which nobody else uses.
+    /// Opens one connection to a copy of a database that no other process uses.
     pub(in crate::store) async fn open_copy(file: &Path, read_only: bool) -> Result<SqlitePool, StoreError> {
         let options = SqliteConnectOptions::new().filename(file).read_only(read_only).immutable(read_only);
         Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options).await?)
@@ -67,10 +68,10 @@ impl DatabaseFile {
         let writer = lasting_pool(1)
             .after_release(|connection, _| {
                 Box::pin(async move {
-                    // A rollback is only queued when a transaction is dropped; this waits for it.
+                    // A dropped transaction only queues its rollback; this waits for it.
                     connection.ping().await?;
-                    // SQLite itself rolls a transaction back when the disk is full. The rollback that follows then fails and the
-                    // connection counts a transaction as open for ever: it is closed instead of used again.
+                    // On a full disk SQLite rolls back a transaction itself. The queued rollback then fails, and the connection
+                    // considers the transaction open forever. Such a connection is closed instead of reused.
                     Ok(!connection.is_in_transaction())
                 })
             })
@@ -88,29 +89,29 @@ impl DatabaseFile {
         Ok(Self { writer, readers, pool })
     }
 
-    /// Connections for queries; a statement that changes something fails on them.
+    /// Read-only connections for queries.
     pub(super) fn readers(&self) -> &Pool {
         &self.pool
     }
 
-    /// A transaction that takes the write lock at once, so that it cannot fail half way for want of it.
+    /// A transaction that takes the write lock at its start, so that it cannot fail later for lack of the lock.
     pub(super) async fn write(&self) -> Result<Tx, StoreError> {
         Ok(Tx::Sqlite(self.writer.begin_with("BEGIN IMMEDIATE").await?))
     }
 
-    /// A transaction that sees everything as it was at its first statement.
+    /// A transaction that sees a snapshot from its first statement.
     pub(super) async fn snapshot(&self) -> Result<Tx, StoreError> {
         Ok(Tx::Sqlite(self.readers.begin().await?))
     }
 
-    /// Closes every connection; the WAL is folded into the database file.
+    /// Closes all connections. SQLite then writes the WAL into the database file.
     pub(super) async fn close(&self) {
         self.readers.close().await;
         self.writer.close().await;
     }
 }
 
-/// Number of the schema of this version.
+/// The schema version of this program.
 pub(in crate::store) fn schema() -> i64 {
     MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
 }
@@ -124,7 +125,7 @@ fn options(file: &Path) -> SqliteConnectOptions {
         .foreign_keys(true)
 }
 
-/// A pool whose connections stay open.
+/// A pool whose connections are not closed when idle.
 fn lasting_pool(size: u32) -> SqlitePoolOptions {
     SqlitePoolOptions::new().max_connections(size).min_connections(1).idle_timeout(None).max_lifetime(None)
 }
@@ -134,7 +135,7 @@ mod tests {
     use super::*;
     use crate::store::sql;
 
-    /// A database that cannot grow beyond `pages` pages, as on a disk that is full then.
+    /// A database that cannot grow beyond `pages` pages, as on a full disk.
     async fn with_room_for(pages: u32, file: &Path) -> DatabaseFile {
         let options = SqliteConnectOptions::new()
             .filename(file)
@@ -169,7 +170,7 @@ mod tests {
             .fetch_one(database.readers())
             .await
             .unwrap();
-        assert_eq!(count, 20, "what was refused is not there");
+        assert_eq!(count, 20, "refused rows are not stored");
     }
 
     #[tokio::test]
@@ -192,7 +193,7 @@ mod tests {
         .await
         .unwrap();
         let reject = "UPDATE jobs SET state = 'rejected' WHERE id = 'new'";
-        assert!(run(reject).await.is_err(), "the control");
+        assert!(run(reject).await.is_err(), "the schema before the migration refuses this state");
         let figures = MIGRATIONS.iter().find(|m| m.version == 5).unwrap();
         run(figures.sql.as_str()).await.unwrap();
         run(reject).await.unwrap();

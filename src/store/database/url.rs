@@ -8,8 +8,8 @@ use sqlx::{AssertSqlSafe, Connection, PgConnection};
 
 use crate::store::StoreError;
 
-/// Where a PostgreSQL server is and who connects: `postgres://user:password@host:5432/name`. What it does not say comes from `PGHOST`,
-/// `PGUSER`, `PGPASSWORD`, `PGPASSFILE` and the like. It is not printed: it may hold a password.
+/// Address and credentials of a PostgreSQL database: `postgres://user:password@host:5432/name`. Missing parts come from `PGHOST`,
+/// `PGUSER`, `PGPASSWORD`, `PGPASSFILE` and similar variables. `Debug` does not print the credentials.
 #[derive(Clone)]
 pub struct DatabaseUrl(pub(super) Box<PgConnectOptions>);
 
@@ -18,7 +18,7 @@ impl FromStr for DatabaseUrl {
 
     fn from_str(text: &str) -> Result<Self, String> {
         if !["postgres://", "postgresql://"].iter().any(|scheme| text.starts_with(scheme)) {
-            return Err("it must begin with postgres://; a server without one keeps a SQLite file in its data directory".to_owned());
+            return Err("must begin with postgres://; without this option the server uses a SQLite file in its data directory".to_owned());
         }
         let options = PgConnectOptions::from_str(text).map_err(|error| error.to_string())?;
         Ok(Self(Box::new(options.application_name("relume"))))
@@ -26,15 +26,15 @@ impl FromStr for DatabaseUrl {
 }
 
 impl DatabaseUrl {
-    /// Another database of the same server, which is made where there is none of that name.
+    /// Another database on the same server. It is created if it does not exist.
     ///
     /// # Errors
-    /// When the server cannot be reached or refuses.
+    /// If the server cannot be reached or refuses the request.
     pub async fn sibling(&self, name: &str) -> Result<Self, StoreError> {
         let mut connection = PgConnection::connect_with(&self.0).await?;
         let query = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM pg_database WHERE datname = $1)");
         if !query.bind(name).fetch_one(&mut connection).await? {
-            // A name cannot be a parameter; quotes in it are doubled.
+            // A name cannot be a parameter of the statement; quotes in it are doubled.
             let create = format!("CREATE DATABASE \"{}\"", name.replace('"', "\"\""));
             sqlx::raw_sql(AssertSqlSafe(create)).execute(&mut connection).await?;
         }

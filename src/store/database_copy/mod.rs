@@ -1,4 +1,4 @@
-//! Everything that one database knows at one moment, copied into another, empty one, and compared row by row before it counts.
+//! Copies a snapshot of a database into an empty database and compares all rows before the commit.
 
 mod row;
 mod tables;
@@ -12,15 +12,15 @@ use crate::store::database_copy::tables::{TABLES, TableSpec};
 use crate::store::sql::{self, On, Sql, Tx};
 use crate::store::{DataDirLock, StoreError};
 
-/// Rows that are copied at once.
+/// Rows per batch.
 const BATCH_ROWS: i64 = 2000;
 
-/// A database that is copied, or copied to.
+/// The source or the destination of a copy.
 #[derive(Debug, Clone)]
 pub enum DatabaseLocation {
-    /// The file of SQLite in a data directory.
+    /// The SQLite file in a data directory.
     DataDir(PathBuf),
-    /// A database of a PostgreSQL server.
+    /// A PostgreSQL database.
     Url(DatabaseUrl),
 }
 
@@ -31,26 +31,25 @@ impl FromStr for DatabaseLocation {
         if text.contains("://") {
             return text.parse().map(Self::Url);
         }
-        if text.is_empty() { Err("it is empty".to_owned()) } else { Ok(Self::DataDir(text.into())) }
+        if text.is_empty() { Err("must not be empty".to_owned()) } else { Ok(Self::DataDir(text.into())) }
     }
 }
 
-/// What was copied of one table.
+/// The result of copying one table.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CopiedTable {
-    /// Its name.
+    /// Name of the table.
     pub name: &'static str,
-    /// Its rows.
+    /// Number of its rows.
     pub rows: usize,
 }
 
-/// Copies everything that `from` knows to `to`, where nothing may be yet, in one transaction: all of it or nothing. No server may work
-/// on either. Files are not touched: a server on `to` needs the data directory that it had.
+/// Copies all rows of `from` to `to` in one transaction. `to` must be empty, and no server may run on either database. Files are
+/// not changed: a server on `to` needs the same data directory.
 ///
 /// # Errors
-/// [`StoreError::NoDatabase`], [`StoreError::Locked`] or [`StoreError::DatabaseLocked`] when `from` or `to` cannot be used;
-/// [`StoreError::DatabaseNotEmpty`] when `to` knows something; [`StoreError::CopyDiffers`] when a row came out otherwise; when a
-/// database fails.
+/// [`StoreError::NoDatabase`], [`StoreError::Locked`] or [`StoreError::DatabaseLocked`] if `from` or `to` cannot be used;
+/// [`StoreError::DatabaseNotEmpty`] if `to` has rows; [`StoreError::CopyDiffers`] if a copied row differs. When a database fails.
 pub async fn copy_database(
     from: &DatabaseLocation,
     to: &DatabaseLocation,
@@ -68,7 +67,7 @@ pub async fn copy_database(
     copied
 }
 
-/// Copies everything that a database knows at one moment to a new file of SQLite. Servers may work on it meanwhile.
+/// Copies a snapshot of a database to a new SQLite file. Servers may use the database at the same time.
 pub(super) async fn copy_to_file(source: &Database, file: &Path) -> Result<(), StoreError> {
     let target = Database::create_file(file).await?;
     let copied = copy_between(source, &target).await;
@@ -76,7 +75,7 @@ pub(super) async fn copy_to_file(source: &Database, file: &Path) -> Result<(), S
     copied.map(drop)
 }
 
-/// Opens a database on which no server works, and keeps it so.
+/// Opens a database on which no server runs, and keeps servers from starting on it.
 async fn open(place: &DatabaseLocation) -> Result<(Database, impl Sized + use<>), StoreError> {
     match place {
         DatabaseLocation::DataDir(root) => {
@@ -100,7 +99,7 @@ async fn copy_between(source: &Database, target: &Database) -> Result<Vec<Copied
             return Err(StoreError::DatabaseNotEmpty(table.name));
         }
     }
-    // A row may refer to one of its own table that comes later.
+    // A row may refer to a later row of the same table.
     let later = Sql::each("PRAGMA defer_foreign_keys = ON", "SET CONSTRAINTS ALL DEFERRED");
     sql::query(later).execute(&mut tx).await?;
     let mut copied = Vec::new();
@@ -115,7 +114,7 @@ async fn copy_between(source: &Database, target: &Database) -> Result<Vec<Copied
     Ok(copied)
 }
 
-/// Copies the rows of a table, and says how many there were.
+/// Copies the rows of a table and returns their number.
 async fn copy(table: &TableSpec, source: &mut Tx, tx: &mut Tx) -> Result<usize, StoreError> {
     let names: Vec<_> = table.columns.iter().map(|(name, _)| *name).collect();
     let places: Vec<_> = (1..=names.len()).map(|number| format!("${number}")).collect();
@@ -138,7 +137,7 @@ async fn copy(table: &TableSpec, source: &mut Tx, tx: &mut Tx) -> Result<usize, 
             "SELECT setval(pg_get_serial_sequence('{0}', 'seq'), COALESCE(MAX(seq), 1), MAX(seq) IS NOT NULL) FROM {0}",
             table.name
         );
-        // SQLite goes on from the largest number by itself.
+        // SQLite continues from the largest number automatically.
         if matches!(tx, Tx::Postgres(..)) {
             sql::query(Sql::composed(number)).execute(&mut *tx).await?;
         }
@@ -146,7 +145,7 @@ async fn copy(table: &TableSpec, source: &mut Tx, tx: &mut Tx) -> Result<usize, 
     Ok(count)
 }
 
-/// Compares the rows of a table with those that they were copied from.
+/// Compares the copied rows of a table with the originals.
 async fn compare(table: &TableSpec, source: &mut Tx, tx: &mut Tx) -> Result<(), StoreError> {
     let mut count = 0;
     loop {
@@ -163,7 +162,7 @@ async fn compare(table: &TableSpec, source: &mut Tx, tx: &mut Tx) -> Result<(), 
     }
 }
 
-/// Some rows of a table, after the first `skipped`.
+/// One batch of rows of a table, after the first `skipped`.
 async fn part<'c>(
     table: &TableSpec,
     skipped: usize,

@@ -1,4 +1,4 @@
-//! A row of whichever table, between two databases.
+//! A row of any table, for transfer between two databases.
 
 use serde_json::Value as Json;
 use sqlx::Row;
@@ -8,7 +8,7 @@ use sqlx::sqlite::SqliteRow;
 use crate::store::database_copy::tables::ColumnType;
 use crate::store::sql::Query;
 
-/// What a column holds in a row; `None` is NULL.
+/// The value of a column; `None` is NULL.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum ColumnValue {
     Text(Option<String>),
@@ -20,7 +20,7 @@ pub(super) enum ColumnValue {
 }
 
 impl ColumnValue {
-    /// Whether both are the same, however a database writes a number in JSON.
+    /// Whether two values are equal, independent of the number format of a database in JSON.
     pub(super) fn is_same(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Json(Some(a)), Self::Json(Some(b))) => is_same_json(a, b),
@@ -28,7 +28,7 @@ impl ColumnValue {
         }
     }
 
-    /// Gives a statement its next parameter.
+    /// Binds the value as the next parameter of a statement.
     pub(super) fn bound(&self, query: Query) -> Query {
         match self {
             Self::Text(value) => query.bind(value),
@@ -54,12 +54,12 @@ fn is_same_json(a: &Json, b: &Json) -> bool {
     }
 }
 
-/// A row whose columns are read as what their table says that they are.
+/// Reads the columns of a row with the types of its table.
 pub(super) trait ReadColumns {
-    /// The column with this number.
+    /// The value of the column with this index.
     fn field(&self, column: usize, kind: ColumnType) -> Result<ColumnValue, sqlx::Error>;
 
-    /// Every column.
+    /// The values of all columns.
     fn fields(&self, columns: &[(&str, ColumnType)]) -> Result<Vec<ColumnValue>, sqlx::Error> {
         columns.iter().enumerate().map(|(column, (_, kind))| self.field(column, *kind)).collect()
     }

@@ -1,10 +1,10 @@
-//! What tables a database has, in an order in which rows can be written: none refers to one that comes later.
+//! The tables of a database, in an order in which rows can be inserted: no table refers to a later one.
 
-/// What a column holds.
+/// The type of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum ColumnType {
     Text,
-    /// A whole number of 64 bits.
+    /// A 64-bit integer.
     Int,
     Real,
     /// Text in SQLite, `JSONB` in PostgreSQL.
@@ -14,13 +14,13 @@ pub(super) enum ColumnType {
     Bool,
 }
 
-/// A table: its rows are copied in the order of `order`, which is different for each.
+/// A table. Its rows are copied in the order of `order`, which is unique for each row.
 #[derive(Debug)]
 pub(super) struct TableSpec {
     pub(super) name: &'static str,
     pub(super) order: &'static str,
     pub(super) columns: &'static [(&'static str, ColumnType)],
-    /// Whether the database numbers its rows by a column `seq`.
+    /// Whether the database numbers the rows by a column `seq`.
     pub(super) is_numbered: bool,
 }
 
@@ -35,7 +35,7 @@ macro_rules! table {
     };
 }
 
-/// Every table.
+/// All tables.
 pub(super) const TABLES: &[TableSpec] = &[
     table!("keys" by "created_ms, id":
         Text id name tenant secret_sha256 made_by, Json scopes, Int created_ms expires_ms last_used_ms revoked_ms),

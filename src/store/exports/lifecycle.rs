@@ -1,4 +1,4 @@
-//! What the exporter does with exports: claim, tell how far it is, keep the file, or say why there is none.
+//! Operations of the exporter: claim an export, record progress, publish the file, or record a failure.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,8 @@ use crate::store::{Store, StoreError};
 use relume_api::ExportId;
 
 impl Store {
-    /// Claims the next export that waits: of frames, or of the other kinds. The tenant whose last one ended longest ago comes first.
+    /// Claims the next queued export: of frames if `frames`, otherwise of the other kinds. The tenant whose last export ended
+    /// longest ago is served first.
     ///
     /// # Errors
     /// When the database fails.
@@ -33,7 +34,8 @@ impl Store {
         Ok(claimed)
     }
 
-    /// Gives back exports that a server which ended had claimed: this one, or all. The caller must hold the node lock.
+    /// Returns exports to the queue that a terminated server had claimed: `only` this one, or all. The caller must hold the lock
+    /// of the data directory.
     ///
     /// # Errors
     /// When the database fails.
@@ -45,7 +47,8 @@ impl Store {
         Ok(changed)
     }
 
-    /// Writes down that `done` frames of `work_bytes` bytes are there. `false` when nobody wants them any more.
+    /// Records that `done` frames with `work_bytes` bytes in total are complete. Returns `false` if the export was cancelled or
+    /// deleted.
     ///
     /// # Errors
     /// When the database fails.
@@ -64,11 +67,11 @@ impl Store {
         Ok(changed == 1)
     }
 
-    /// Makes a file the one of an export, in place of what its work folder holds. `false`, and the file is gone, when nobody wants
-    /// it any more.
+    /// Publishes a file as the result of an export and clears the size of its work folder. Returns `false` and removes the file
+    /// if the export was cancelled or deleted.
     ///
     /// # Errors
-    /// When the file cannot be moved, or the database fails; the next start removes the file then.
+    /// When the file cannot be moved or the database fails. The next start then removes the file.
     pub async fn publish_export(
         &self,
         id: &ExportId,
@@ -104,7 +107,7 @@ impl Store {
         Ok(changed == 1)
     }
 
-    /// Ends an export that cannot be made.
+    /// Ends an export as failed.
     ///
     /// # Errors
     /// When the database fails.
@@ -122,13 +125,13 @@ impl Store {
         Ok(tx.commit().await?)
     }
 
-    /// The folder in which an export is made; nothing makes it before it is needed.
+    /// The work folder of an export. It is created when it is first needed.
     pub fn export_folder(&self, id: &ExportId) -> PathBuf {
         self.root.join(EXPORTS).join(id.as_str())
     }
 }
 
-/// Moves a file within the data directory and hashes it; durable when it returns. Blocks.
+/// Moves a file within the data directory and returns its hash and size. The move is durable on return. Blocks.
 fn move_durably(from: &Path, to: &Path) -> std::io::Result<(String, u64)> {
     let mut file = File::open(from)?;
     let (sha256, bytes) = (hash_file(&mut file)?, file.metadata()?.len());

@@ -1,5 +1,5 @@
-//! Exports: files that are made of models in the background. One that runs is claimed by one conditional UPDATE; every later write is
-//! of one that is still `running`, so that what was cancelled or deleted meanwhile stays so.
+//! Exports: files that are made of models in the background. One conditional UPDATE claims an export. Every later write requires
+//! the state `running`, so that a cancelled or deleted export stays so.
 
 mod lifecycle;
 mod record;
@@ -18,7 +18,7 @@ pub use record::{ClaimedExport, ExportRecord, ExportedFile};
 pub use removal::ExportDeletion;
 pub(super) use removal::delete_exports_of;
 
-/// What the lists show of a row.
+/// The columns for lists.
 macro_rules! columns {
     () => {
         "id, tenant, model_id, kind, state, done, total, file_name, content_type, artifact, bytes, sha256, error_code,
@@ -28,12 +28,12 @@ macro_rules! columns {
 use columns;
 
 impl Store {
-    /// Queues an export and remembers the answer under its idempotency key, in one transaction. A tenant may have `most` that wait
-    /// or run.
+    /// Queues an export and records the answer under its idempotency key, in one transaction. A tenant may have `most` queued and
+    /// running exports.
     ///
     /// # Errors
-    /// [`StoreError::IdempotencyKeyReused`] when the key came with another request before, [`StoreError::ExportQuotaExceeded`] beyond `most`,
-    /// [`StoreError::Deleted`] when the model is gone.
+    /// [`StoreError::IdempotencyKeyReused`] if the key was used with another request, [`StoreError::ExportQuotaExceeded`] beyond
+    /// `most`, [`StoreError::Deleted`] if the model is deleted.
     pub async fn submit_export(
         &self,
         export: &ExportRecord,
@@ -93,7 +93,7 @@ impl Store {
         Ok(sql::query_as(query).bind(id).bind(tenant).fetch_optional(self.pool()).await?)
     }
 
-    /// Exports of a tenant, newest first, of one model or state, or of all.
+    /// Exports of a tenant, newest first, optionally of one model or state.
     ///
     /// # Errors
     /// When the database fails.
@@ -117,7 +117,7 @@ impl Store {
     }
 }
 
-/// Refuses one more of a tenant that has `most` which wait or run.
+/// Refuses another export of a tenant that has `most` queued and running exports.
 async fn check_export_quota(tx: &mut Tx, tenant: &TenantId, most: u32) -> Result<(), StoreError> {
     let counting = "SELECT COUNT(*) FROM exports
                         WHERE tenant = $1 AND state IN ('queued', 'running') AND deleted_ms IS NULL";

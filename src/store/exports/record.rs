@@ -9,23 +9,23 @@ use relume_api::jobs::JobError;
 use relume_api::models::FileView;
 use relume_api::{ExportId, ModelId, TenantId};
 
-/// The folder of finished exports among the artifacts, and of their work folders in the data directory.
+/// The folder of finished exports among the artifacts, and of the work folders in the data directory.
 pub(in crate::store) const EXPORTS: &str = "exports";
 
-/// An export without what was asked for, which may be long.
+/// An export without its request, which may be long.
 #[derive(Debug, Clone, FromRow)]
 pub struct ExportRecord {
     /// Identifier.
     pub id: ExportId,
-    /// Whose it is.
+    /// The tenant.
     pub tenant: TenantId,
-    /// The model that it is made of.
+    /// The exported model.
     pub model_id: ModelId,
-    /// What is made.
+    /// Kind of the export.
     pub kind: ExportKind,
-    /// Where it stands.
+    /// State of the export.
     pub state: ExportState,
-    /// How much is done.
+    /// Progress of the export.
     #[sqlx(flatten)]
     pub progress: ExportProgress,
     /// Name of the finished file.
@@ -34,24 +34,24 @@ pub struct ExportRecord {
     pub content_type: Option<String>,
     /// Key of the finished file in the artifact store.
     pub artifact: Option<String>,
-    /// Its size.
+    /// Size of the finished file, bytes.
     pub bytes: Option<i64>,
     /// Hash of its bytes, lower-case hex.
     pub sha256: Option<String>,
     /// Stable code of the failure.
     pub error_code: Option<String>,
-    /// What failed, for people.
+    /// Description of the failure.
     pub error_detail: Option<String>,
     /// Time of submission.
     pub created_ms: i64,
     /// Time of the first claim.
     pub started_ms: Option<i64>,
-    /// Time it became terminal.
+    /// Time at which it ended.
     pub finished_ms: Option<i64>,
 }
 
 impl ExportRecord {
-    /// One of a tenant that waits.
+    /// A queued export of a tenant.
     pub fn queued(
         tenant: TenantId,
         id: ExportId,
@@ -79,7 +79,7 @@ impl ExportRecord {
         }
     }
 
-    /// As the API shows it.
+    /// The export as the API shows it.
     pub fn view(self) -> ExportView {
         let detail = self.error_detail.unwrap_or_default();
         let href = format!("/v1/exports/{}/file", self.id);
@@ -105,23 +105,23 @@ impl ExportRecord {
     }
 }
 
-/// An export that is being made.
+/// A claimed export.
 #[derive(Debug, Clone, FromRow)]
 pub struct ClaimedExport {
-    /// Its row.
+    /// Its record.
     #[sqlx(flatten)]
     pub record: ExportRecord,
-    /// What was asked for.
+    /// The request.
     #[sqlx(json)]
     pub request: NewExport,
 }
 
-/// The file that was made of an export.
+/// The finished file of an export.
 #[derive(Debug, Clone)]
 pub struct ExportedFile {
-    /// Where it is; in the work folder of the export.
+    /// Path of the file, in the work folder of the export.
     pub path: std::path::PathBuf,
-    /// What it is called, ASCII.
+    /// File name, ASCII.
     pub name: String,
     /// Media type.
     pub content_type: &'static str,

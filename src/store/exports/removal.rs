@@ -1,4 +1,4 @@
-//! The end of exports: cancelled or deleted on request, with their model, or by age; and what their files leave.
+//! Cancellation and deletion of exports: on request, with their model, or by age; and removal of their files.
 
 use std::collections::HashSet;
 use std::time::Duration;
@@ -9,19 +9,19 @@ use crate::store::sql::{self, Tx};
 use crate::store::{Store, StoreError};
 use relume_api::{ExportId, TenantId};
 
-/// Outcome of a request to delete an export.
+/// Result of a request to delete an export.
 #[derive(Debug, Clone)]
 pub enum ExportDeletion {
-    /// It waited or ran, and is cancelled.
+    /// The export was queued or running and is now cancelled.
     Cancelled(Box<ExportRecord>),
-    /// It had ended, and is gone.
+    /// The export had ended and is now deleted.
     Deleted,
-    /// There is no such export, or no longer.
+    /// The export does not exist.
     NotFound,
 }
 
 impl Store {
-    /// Cancels an export that waits or runs; deletes one that has ended.
+    /// Cancels a queued or running export; deletes an export that has ended.
     ///
     /// # Errors
     /// When the database fails.
@@ -50,7 +50,7 @@ impl Store {
         Ok(if deleted == 1 { ExportDeletion::Deleted } else { ExportDeletion::NotFound })
     }
 
-    /// Deletes exports that ended longer ago than `keep`; how many.
+    /// Deletes exports that ended longer ago than `keep`. Returns their number.
     pub(in crate::store) async fn expire_exports(
         &self,
         keep: Duration,
@@ -64,7 +64,7 @@ impl Store {
         Ok(deleted)
     }
 
-    /// Removes the files of exports that were deleted, and their rows; how many.
+    /// Removes the files and rows of deleted exports. Returns their number.
     pub(in crate::store) async fn discard_exports(&self) -> Result<usize, StoreError> {
         let query = "SELECT id, artifact FROM exports WHERE deleted_ms IS NOT NULL";
         let exports: Vec<(ExportId, Option<String>)> = sql::query_as(query).fetch_all(self.pool()).await?;
@@ -81,7 +81,7 @@ impl Store {
         Ok(exports.len())
     }
 
-    /// Removes the work folders of all exports but those that wait or run.
+    /// Removes the work folders of all exports that are neither queued nor running.
     ///
     /// # Errors
     /// When the database or the file system fails.
@@ -94,7 +94,7 @@ impl Store {
         while let Some(entry) = entries.next_entry().await? {
             found.extend(entry.file_name().into_string());
         }
-        // Asked after the folder was read: what was begun since is not in the list.
+        // Queried after the folder was read, so that exports that began since are included.
         let query = "SELECT id FROM exports WHERE state IN ('queued', 'running') AND deleted_ms IS NULL";
         let wanted: Vec<String> = sql::query_scalar(query).fetch_all(self.pool()).await?;
         let wanted: HashSet<String> = wanted.into_iter().collect();

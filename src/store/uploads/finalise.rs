@@ -1,5 +1,5 @@
-//! A complete upload becomes what any other upload is: its bytes under another name, so that the upload itself stays until
-//! something was made of it.
+//! Finalises a resumable upload: links its bytes under another name, so that the upload itself is kept until a capture is
+//! published.
 
 use std::fs::File;
 
@@ -12,8 +12,8 @@ use crate::store::uploads::upload_locks::UploadLock;
 use crate::store::{StagedUpload, Store, StoreError};
 
 impl Store {
-    /// The bytes of a complete upload, hashed, under the fresh name `name`. The upload is gone once they are published, and stays
-    /// when they are dropped.
+    /// Hashes the bytes of a complete upload and links them under the fresh name `name`. The upload is removed when they are
+    /// published, and kept when they are dropped.
     ///
     /// # Errors
     /// When the file system fails.
@@ -34,7 +34,7 @@ impl Store {
             Ok::<_, std::io::Error>(sha256)
         });
         let sha256 = hashed.await.map_err(std::io::Error::other)??;
-        // Its bytes are counted with the upload.
+        // The bytes are counted with the upload.
         let reserved = self.reservation(&upload.tenant);
         let bytes = upload.total();
         Ok(StagedUpload { key, published: false, path, sha256, bytes, upload: Some(lock), reserved })

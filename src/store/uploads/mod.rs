@@ -1,5 +1,5 @@
-//! Uploads that arrive in pieces, over several requests and lives of the server. How much of one has arrived is in the database;
-//! it is written there after the bytes are on disk.
+//! Resumable uploads, which arrive in chunks over several requests and server processes. The database records the number of
+//! received bytes after the bytes are on disk.
 
 mod finalise;
 mod piece;
@@ -22,24 +22,25 @@ pub use record::{UploadLimits, UploadRecord};
 pub use upload_locks::{UploadLock, UploadLocks};
 
 impl Store {
-    /// Begins an upload; a tenant may have `most`.
+    /// Creates an upload; a tenant may have `most`.
     ///
     /// # Errors
-    /// [`StoreError::UploadQuotaExceeded`] beyond that, [`StoreError::ByteQuotaExceeded`] and [`StoreError::StorageLimitExceeded`] when it could not be
-    /// stored as a whole, or when the database or the file system fails.
+    /// [`StoreError::UploadQuotaExceeded`] beyond `most`; [`StoreError::ByteQuotaExceeded`] and
+    /// [`StoreError::StorageLimitExceeded`] if the complete upload would exceed a limit. When the database or the file system
+    /// fails.
     pub async fn begin_upload(&self, upload: &UploadRecord, most: u32) -> Result<(), StoreError> {
         self.admit_bytes_of(&upload.tenant, upload.total()).await?;
         self.admit_bytes(upload.total()).await?;
         let mut tx = self.write().await?;
         self.admit_upload_of(&mut tx, upload, most).await?;
-        // The file comes first: without its row the next start removes it.
+        // The file is created first. If its row is missing, the next start removes the file.
         let path = self.artifacts.local_path(&upload.key());
         tokio::task::spawn_blocking(move || make_file(&path)).await.map_err(std::io::Error::other)??;
         self.insert_upload(&mut tx, upload).await?;
         Ok(tx.commit().await?)
     }
 
-    /// Refuses one more upload of a tenant that has `most`.
+    /// Refuses another upload of a tenant that has `most`.
     async fn admit_upload_of(&self, tx: &mut Tx, upload: &UploadRecord, most: u32) -> Result<(), StoreError> {
         let counting = "SELECT COUNT(*) FROM uploads WHERE tenant = $1 AND expires_ms > $2";
         let count: i64 = sql::query_scalar(counting)
@@ -104,18 +105,18 @@ impl Store {
         Ok(query.fetch_all(self.pool()).await?)
     }
 
-    /// Whether an upload is known.
+    /// Whether an upload exists.
     pub(super) async fn has_upload(&self, id: &UploadId) -> Result<bool, StoreError> {
         let query = sql::query_scalar("SELECT EXISTS (SELECT 1 FROM uploads WHERE id = $1)").bind(id);
         Ok(query.fetch_one(self.pool()).await?)
     }
 
-    /// Takes hold of an upload; `None` while somebody else has it.
+    /// Locks an upload; `None` if it is already locked.
     pub fn lock_upload(&self, id: &UploadId) -> Option<UploadLock> {
         self.upload_locks.take(id)
     }
 
-    /// Gives an upload up. Should the server die before its file is removed, the next start does that.
+    /// Deletes an upload. If the server terminates before the file is removed, the next start removes it.
     ///
     /// # Errors
     /// When the database or the file system fails.
@@ -126,10 +127,10 @@ impl Store {
         self.artifacts.discard(&key(lock.id())).await
     }
 
-    /// Gives up what has expired and is not being written to; how many.
+    /// Deletes expired uploads that are not locked. Returns their number.
     ///
     /// # Errors
-    /// When the database or the file system fails; the next time goes on from there.
+    /// When the database or the file system fails. The next run continues.
     pub async fn expire_uploads(&self, now_ms: i64) -> Result<usize, StoreError> {
         let query = "SELECT id FROM uploads WHERE expires_ms <= $1
                          AND (capture_id IS NULL OR problem IS NOT NULL) ORDER BY expires_ms LIMIT 1000";
@@ -137,20 +138,20 @@ impl Store {
         let mut dropped = 0;
         for id in ids {
             let Some(lock) = self.lock_upload(&id) else { continue };
-            // A piece may have come since.
+            // A chunk may have arrived in the meantime.
             let query = "SELECT expires_ms FROM uploads WHERE id = $1";
             let expires: Option<i64> = sql::query_scalar(query).bind(&id).fetch_optional(self.pool()).await?;
             if expires.is_some_and(|at| at <= now_ms) {
                 self.drop_upload(&lock).await?;
-                tracing::info!(upload = %id, "gave up an upload that has expired");
+                tracing::info!(upload = %id, "deleted an expired upload");
                 dropped += 1;
             }
         }
         Ok(dropped)
     }
 
-    /// Brings files and rows together after a server that died: what was not on disk yet is cut off, and an upload whose bytes
-    /// are missing is forgotten. The caller must hold the node lock.
+    /// Makes files and rows consistent after an unclean shutdown: truncates files to the recorded size, and deletes uploads whose
+    /// bytes are missing. The caller must hold the lock of the data directory.
     ///
     /// # Errors
     /// When the database or the file system fails.
@@ -170,7 +171,7 @@ impl Store {
                     std::fs::File::options().write(true).open(&path)?.set_len(upload.offset())?;
                 }
                 _ => {
-                    tracing::warn!(upload = %upload.id, "forgot an upload whose bytes are missing");
+                    tracing::warn!(upload = %upload.id, "deleted an upload whose bytes are missing");
                     if let Some(lock) = self.lock_upload(&upload.id) {
                         self.drop_upload(&lock).await?;
                     }
@@ -181,7 +182,7 @@ impl Store {
     }
 }
 
-/// Makes an empty file and the folder it is in; durable when this returns. Blocks.
+/// Creates an empty file and its folder. Both are durable on return. Blocks.
 fn make_file(path: &Path) -> std::io::Result<()> {
     let folder = path.parent().unwrap_or(path);
     std::fs::create_dir_all(folder)?;

@@ -1,4 +1,4 @@
-//! A piece of an upload on its way to disk.
+//! Writing of a chunk of a resumable upload.
 
 use std::fmt::Display;
 
@@ -15,10 +15,10 @@ use crate::store::uploads::record::UploadRecord;
 use crate::store::uploads::upload_locks::UploadLock;
 use crate::store::{Store, StoreError};
 
-/// Bytes after which a piece that goes on is brought to disk and written down: what `kill -9` costs at most.
+/// Interval, bytes, after which a long chunk is synced to disk and recorded. At most this much is lost if the process is killed.
 const SYNC_INTERVAL_BYTES: u64 = 16 << 20;
 
-/// What a piece must hash to.
+/// The expected checksum of a chunk.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Checksum {
     /// SHA-1, 20 bytes.
@@ -27,19 +27,19 @@ pub enum Checksum {
     Sha256(Vec<u8>),
 }
 
-/// Where a piece goes.
+/// The destination of a chunk.
 pub struct Piece<'a> {
-    /// The upload, as it is in the database now.
+    /// The upload as the database has it now.
     pub upload: UploadRecord,
-    /// Nobody else writes to it meanwhile.
+    /// The lock of the upload.
     pub lock: &'a UploadLock,
-    /// With it the whole piece is kept or nothing, without it what arrived.
+    /// With a checksum the chunk is stored whole or not at all; without it the received part is stored.
     pub checksum: Option<Checksum>,
-    /// When the upload expires if nothing more comes from now on.
+    /// Computes the expiry time of the upload from the current time.
     pub expires_ms: &'a (dyn Fn() -> i64 + Send + Sync),
 }
 
-/// What was promised and what came.
+/// The expected and the computed checksum.
 enum Hashing {
     Nothing,
     Sha1(Sha1, Vec<u8>),
@@ -65,11 +65,12 @@ impl Hashing {
 }
 
 impl Store {
-    /// Writes a piece behind what is on disk. Answers with the upload as it is then; an error may come after a part was kept.
+    /// Appends a chunk after the stored bytes. Returns the updated upload. Even after an error a part of the chunk may be stored.
     ///
     /// # Errors
-    /// [`StoreError::TooLarge`] beyond the upload's length, [`StoreError::ChecksumMismatch`], [`StoreError::Body`] when the sender
-    /// fails, [`StoreError::Full`], [`StoreError::ByteQuotaExceeded`] and [`StoreError::StorageLimitExceeded`] when no more may be stored.
+    /// [`StoreError::TooLarge`] beyond the upload's length, [`StoreError::ChecksumMismatch`], [`StoreError::Body`] if the sender
+    /// fails, [`StoreError::Full`], [`StoreError::ByteQuotaExceeded`] and [`StoreError::StorageLimitExceeded`] if a limit is
+    /// exceeded.
     pub async fn append<E: Display>(
         &self,
         piece: Piece<'_>,
@@ -77,7 +78,7 @@ impl Store {
     ) -> Result<UploadRecord, StoreError> {
         let path = self.artifacts.local_path(&piece.upload.key());
         let mut file = File::options().write(true).open(path).await?;
-        // A server or a request that died may have left more than it wrote down.
+        // An interrupted server or request may have left bytes that are not recorded.
         file.set_len(piece.upload.offset()).await?;
         file.seek(std::io::SeekFrom::End(0)).await?;
         let kept = piece.upload.offset();
@@ -85,7 +86,7 @@ impl Store {
         let mut writing = Writing { store: self, piece, file, reserved, written: kept, kept };
         let appended = writing.append(body).await;
         if writing.written > writing.kept {
-            // What is not written down is not there.
+            // Bytes that are not recorded are removed.
             writing.file.set_len(writing.kept).await?;
         }
         appended.map(|()| writing.piece.upload)
@@ -99,7 +100,7 @@ struct Writing<'a> {
     reserved: Reservation,
     /// Bytes in the file.
     written: u64,
-    /// Bytes that are on disk and written down.
+    /// Bytes that are on disk and recorded.
     kept: u64,
 }
 
@@ -149,11 +150,11 @@ impl Writing<'_> {
         Ok(())
     }
 
-    /// Brings what was written to disk, then writes that down.
+    /// Syncs the written bytes to disk and records them.
     async fn keep(&mut self) -> Result<(), StoreError> {
         self.file.flush().await?;
         self.file.sync_data().await?;
-        // What arrived counts as stored and no longer as on its way.
+        // The bytes are counted as stored and released from the pending quota under one lock.
         let _publish_guard = self.store.publish_lock.lock().await;
         let received = i64::try_from(self.written).unwrap_or(i64::MAX);
         let expires_ms = (self.piece.expires_ms)();

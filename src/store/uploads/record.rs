@@ -1,4 +1,4 @@
-//! An upload that arrives in pieces, and the bounds on all of them.
+//! The record of a resumable upload, and the limits of uploads.
 
 use std::time::Duration;
 
@@ -8,15 +8,15 @@ use crate::store::page::paginated;
 use relume_api::metadata::ResourceMetadata;
 use relume_api::{CaptureId, Problem, TenantId, UploadId};
 
-/// The folder of uploads that arrive in pieces.
+/// The folder of resumable uploads.
 pub(in crate::store) const UPLOADS: &str = "uploads";
 
-/// How many uploads there may be, and how long.
+/// The limits of resumable uploads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct UploadLimits {
-    /// Uploads of a tenant that no capture was made of.
+    /// Maximum number of unfinished uploads of a tenant.
     pub each: u32,
-    /// How long one is kept after its last piece.
+    /// Time for which an upload is kept after its last chunk.
     pub life: Duration,
 }
 
@@ -26,31 +26,31 @@ impl Default for UploadLimits {
     }
 }
 
-/// An upload that arrives in pieces.
+/// A resumable upload.
 #[derive(Debug, Clone, FromRow)]
 pub struct UploadRecord {
     /// Identifier.
     pub id: UploadId,
-    /// Whose it is.
+    /// The tenant.
     pub tenant: TenantId,
-    /// Bytes when it is complete.
+    /// Total bytes.
     pub length: i64,
-    /// Bytes that are on disk.
+    /// Bytes on disk.
     pub received: i64,
-    /// What the uploader says of it, as it was sent.
+    /// The header `Upload-Metadata`, as sent by the client.
     pub metadata: Option<String>,
-    /// When it was begun.
+    /// Time of creation.
     pub created_ms: i64,
-    /// When it is given up.
+    /// Expiry time.
     pub expires_ms: i64,
     /// The capture that is being made of it, or could not be made.
     pub capture_id: Option<CaptureId>,
-    /// What that capture is called.
+    /// The metadata of that capture.
     #[sqlx(flatten)]
     pub capture_metadata: ResourceMetadata,
-    /// Hash of its bytes, lower-case hex, once a capture is being made of it.
+    /// Hash of its bytes, lower-case hex, since the validation of the capture began.
     pub sha256: Option<String>,
-    /// Why no capture could be made of it.
+    /// The reason why no capture could be made.
     #[sqlx(json(nullable))]
     pub problem: Option<Problem>,
 }
@@ -58,23 +58,23 @@ pub struct UploadRecord {
 paginated!(UploadRecord: created_ms);
 
 impl UploadRecord {
-    /// Bytes that are on disk.
+    /// Bytes on disk.
     pub fn offset(&self) -> u64 {
         u64::try_from(self.received).unwrap_or(0)
     }
 
-    /// Bytes when it is complete.
+    /// Total bytes.
     pub fn total(&self) -> u64 {
         u64::try_from(self.length).unwrap_or(0)
     }
 
-    /// The key of its bytes.
+    /// The artifact key of its bytes.
     pub(super) fn key(&self) -> String {
         key(&self.id)
     }
 }
 
-/// The key of the bytes of an upload.
+/// The artifact key of the bytes of an upload.
 pub(super) fn key(id: &UploadId) -> String {
     format!("{UPLOADS}/{id}")
 }

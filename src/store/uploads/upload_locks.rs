@@ -1,15 +1,15 @@
-//! Who works on an upload: one request at a time.
+//! Locks of uploads: only one request can use an upload at a time.
 
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use relume_api::UploadId;
 
-/// The uploads that somebody works on.
+/// The locked uploads.
 #[derive(Debug, Clone, Default)]
 pub struct UploadLocks(Arc<Mutex<HashSet<UploadId>>>);
 
-/// Nobody else works on an upload until this is dropped.
+/// The lock of an upload, held until it is dropped.
 #[derive(Debug)]
 pub struct UploadLock {
     upload_locks: UploadLocks,
@@ -17,7 +17,7 @@ pub struct UploadLock {
 }
 
 impl UploadLocks {
-    /// Takes hold of an upload; `None` while somebody else has it.
+    /// Locks an upload; `None` if it is already locked.
     pub(super) fn take(&self, id: &UploadId) -> Option<UploadLock> {
         let is_free = self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(id.clone());
         is_free.then(|| UploadLock { upload_locks: self.clone(), id: id.clone() })
@@ -25,7 +25,7 @@ impl UploadLocks {
 }
 
 impl UploadLock {
-    /// What is held.
+    /// The locked upload.
     pub fn id(&self) -> &UploadId {
         &self.id
     }

@@ -1,4 +1,4 @@
-//! Uploads that a capture is being made of: what was answered to whoever asked for it outlives the server.
+//! Uploads whose capture is being validated. They are stored, so that an answer to a client stays valid after a restart.
 
 use std::collections::HashSet;
 
@@ -11,22 +11,23 @@ use relume_api::metadata::ResourceMetadata;
 use relume_api::{CaptureId, Problem, TenantId};
 
 impl Store {
-    /// Makes `upload`, of which a capture is to be made, of a complete body. It is counted with the upload from then on.
+    /// Stores a complete body as the resumable upload `upload`, of which a capture is to be made. From then on its bytes are
+    /// counted with the upload.
     ///
     /// # Errors
-    /// [`StoreError::UploadQuotaExceeded`] when the tenant has `most`, or when the database or the file system fails.
+    /// [`StoreError::UploadQuotaExceeded`] if the tenant already has `most`. When the database or the file system fails.
     pub async fn persist_upload(
         &self,
         incoming: &mut StagedUpload,
         upload: &UploadRecord,
         most: u32,
     ) -> Result<(), StoreError> {
-        let in_use = || std::io::Error::other("an upload that nobody knows is in use");
+        let in_use = || std::io::Error::other("a new upload is already locked");
         let lock = self.lock_upload(&upload.id).ok_or_else(in_use)?;
         let _publish_guard = self.publish_lock.lock().await;
         let mut tx = self.write().await?;
         self.admit_upload_of(&mut tx, upload, most).await?;
-        // The file comes first: without its row the next start removes it.
+        // The file is created first. If its row is missing, the next start removes the file.
         let (from, to) = (incoming.path.clone(), self.artifacts.local_path(&upload.key()));
         let linked = tokio::task::spawn_blocking(move || {
             let folder = to.parent().unwrap_or(&to);
@@ -42,7 +43,7 @@ impl Store {
         Ok(())
     }
 
-    /// Writes down that `capture`, called so, is being made of the upload that these bytes are of.
+    /// Records that `capture`, with these metadata, is being made of the upload of these bytes.
     ///
     /// # Errors
     /// When the database fails.
@@ -67,7 +68,7 @@ impl Store {
         Ok(tx.commit().await?)
     }
 
-    /// Writes down why `capture` could not be made. Its upload stays until `expires_ms`.
+    /// Records why `capture` could not be made. Its upload is kept until `expires_ms`.
     ///
     /// # Errors
     /// When the database fails.
@@ -87,7 +88,7 @@ impl Store {
         Ok(tx.commit().await?)
     }
 
-    /// The upload that a capture of a tenant is being made of, or could not be made of.
+    /// The upload of which a capture of a tenant is being made, or could not be made.
     ///
     /// # Errors
     /// When the database fails.
@@ -100,7 +101,7 @@ impl Store {
         Ok(query.bind(capture).bind(tenant).fetch_optional(self.pool()).await?)
     }
 
-    /// The upload of this content that a capture of a tenant is being made of.
+    /// The upload with this content of which a capture of a tenant is being made.
     ///
     /// # Errors
     /// When the database fails.
@@ -136,7 +137,7 @@ impl Store {
         Ok(ids.into_iter().collect())
     }
 
-    /// Forgets an upload of which no capture could be made; `false` while one is being made.
+    /// Deletes an upload of which no capture could be made; `false` while one is being made.
     ///
     /// # Errors
     /// When the database or the file system fails.

@@ -1,4 +1,4 @@
-//! Renders on the thread of frames, with a cache of models and prepared lights.
+//! Renders frames, with a cache of models and prepared lights.
 
 use std::fmt;
 use std::hash::Hash;
@@ -14,23 +14,24 @@ use relume_capture::builtin;
 use relume_capture::formats::{environment, model_file};
 use relume_engine::Device;
 use relume_engine::DeviceError;
+use relume_scene::light::map_rows::RENDERED_ROWS;
 use relume_scene::{Camera, EnvMap, Illumination, Model};
 use relume_spec::rendering::{Output, Quality};
 use relume_train::render::{Frame, PreparedLight, RenderError, Renderer, Viewpoint};
 
-/// Why there is no frame.
+/// Why no frame was rendered.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RenderFailure {
     /// The queue is full or the device did not answer in time.
     #[error("the device is busy")]
     Busy,
-    /// The caller does not wait any more.
-    #[error("nobody waits for the frame")]
+    /// The caller no longer waits.
+    #[error("the caller no longer waits for the frame")]
     Abandoned,
-    /// What was asked for has been deleted.
-    #[error("{what} {id} is gone")]
+    /// A resource of the request was deleted.
+    #[error("{what} {id} no longer exists")]
     Gone {
-        /// A model or an environment.
+        /// `model` or `environment`.
         what: &'static str,
         /// Its identifier, or the hash of its content.
         id: String,
@@ -38,15 +39,15 @@ pub enum RenderFailure {
     /// The request cannot be rendered.
     #[error("{field}: {reason}")]
     Refused {
-        /// The request field at fault.
+        /// The invalid field of the request.
         field: &'static str,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
-    /// The device failed; the request may be made again.
+    /// The device failed; the request can be repeated.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// The service failed; the text is for the log.
+    /// An internal error; the text is for the log.
     #[error("{0}")]
     Internal(String),
 }
@@ -63,18 +64,18 @@ impl From<RenderError> for RenderFailure {
 /// A model to render.
 #[derive(Debug, Clone)]
 pub struct ModelSource {
-    /// Identifier; of a file also the cache key: a published model never changes.
+    /// Identifier. For a file it is also the cache key, because a published model never changes.
     pub id: ModelId,
-    /// Where it is.
+    /// Its content.
     pub content: ModelContent,
 }
 
-/// Where a model is.
+/// The content of a model.
 #[derive(Clone)]
 pub enum ModelContent {
-    /// In a model file on this machine; it stays ready after a frame.
+    /// A model file on this machine. It stays in the cache after a frame.
     File(PathBuf),
-    /// In memory, for a frame or two.
+    /// A model in memory, which is not cached.
     Memory(Arc<Model>),
 }
 
@@ -87,15 +88,12 @@ impl fmt::Debug for ModelContent {
     }
 }
 
-/// Most rows of a map that frames are made of: texels of 0.18 degrees, a third of the sun.
-const MAX_MAP_ROWS: usize = 1024;
-
 /// A light to render under.
 #[derive(Debug, Clone)]
 pub enum LightSource {
-    /// A map that comes with the program.
+    /// A built-in map.
     Builtin(String),
-    /// The light the model was captured under, as training recovered it.
+    /// The recovered light of the model.
     Recovered,
     /// An environment file on this machine, by content hash.
     Stored {
@@ -104,7 +102,7 @@ pub enum LightSource {
         /// The file.
         path: PathBuf,
     },
-    /// A map that came with the request.
+    /// A map in the request.
     Inline {
         /// Content hash, the cache key.
         sha256: String,
@@ -114,7 +112,7 @@ pub enum LightSource {
 }
 
 impl LightSource {
-    /// Names the light's content: equal keys, equal light on equal models.
+    /// Identifies the content of the light: equal keys mean equal light for the same model.
     pub fn key(&self) -> String {
         match self {
             Self::Builtin(name) => format!("builtin:{name}"),
@@ -123,21 +121,21 @@ impl LightSource {
         }
     }
 
-    /// A map as small as it makes no difference to any tier.
+    /// A map with the size limit at which no tier loses accuracy.
     pub fn downscaled(map: EnvMap) -> EnvMap {
-        map.at_most_rows(MAX_MAP_ROWS)
+        map.at_most_rows(RENDERED_ROWS)
     }
 
-    /// The map; `None` for the recovered light, which is a model's.
+    /// The map; `None` for the recovered light, which depends on the model.
     ///
     /// # Errors
-    /// Says why the file cannot be read.
+    /// The reason why the file cannot be read.
     pub fn map(&self) -> Result<Option<Arc<EnvMap>>, String> {
         match self {
             Self::Inline { map, .. } => Ok(Some(map.clone())),
             Self::Recovered => Ok(None),
             Self::Builtin(name) => {
-                builtin(name).map(|map| Some(Arc::new(map))).ok_or_else(|| "is not built in".to_owned())
+                builtin(name).map(|map| Some(Arc::new(map))).ok_or_else(|| "is not a built-in map".to_owned())
             }
             Self::Stored { path, .. } => {
                 let bytes = std::fs::read(path).map_err(|e| e.to_string())?;
@@ -155,35 +153,35 @@ pub struct RenderTask {
     pub model: ModelSource,
     /// The light.
     pub light: LightSource,
-    /// Turn of the light about +Z, degrees counter-clockwise.
+    /// Rotation of the light about +Z, degrees counter-clockwise.
     pub rotation_deg: f64,
     /// Exposure of the light, stops.
     pub exposure_ev: f64,
-    /// From where.
+    /// The camera.
     pub viewpoint: Viewpoint,
-    /// Whether the light shows behind the model.
+    /// Whether the light is the background.
     pub shows_environment: bool,
-    /// How.
+    /// The quality.
     pub quality: Quality,
-    /// What.
+    /// The outputs.
     pub outputs: Vec<Output>,
 }
 
-/// A light to make ready for a model, to be shaded with elsewhere.
+/// A light to prepare for a model, for shading in a viewer.
 #[derive(Debug, Clone)]
 pub struct LightTask {
     /// The model.
     pub model: ModelSource,
     /// The light.
     pub light: LightSource,
-    /// Turn of the light about +Z, degrees counter-clockwise.
+    /// Rotation of the light about +Z, degrees counter-clockwise.
     pub rotation_deg: f64,
-    /// Whether a picture of the light comes with it.
+    /// Whether the result includes an image of the light.
     pub with_map: bool,
 }
 
 impl RenderTask {
-    /// What the frame costs on the device beside others: its pixels, weighed by the tier.
+    /// The relative cost of the frame: its pixels, weighted by the tier.
     pub(super) fn cost(&self) -> u64 {
         self.pixels().saturating_mul(self.quality.pixel_cost())
     }
@@ -197,14 +195,14 @@ impl RenderTask {
     }
 }
 
-/// Model, light and rotation by its bits. Not the exposure: it is a factor on what the light makes.
+/// Model, light, and the bits of the rotation. The exposure is not included, because the prepared light is linear in it.
 type LightKey = (ModelId, String, u64);
 
-/// An entry of a cache. Its lock is held while the entry is made, so that two threads do not make the same one.
+/// An entry of a cache. It is locked while it is made, so that two threads do not make the same entry.
 type Slot<T> = Arc<Mutex<Option<Arc<T>>>>;
 
-/// The models and lights that were used last. Threads share it: while one loads a model or prepares a light, the others find
-/// what is ready.
+/// The most recently used models and lights, shared by the threads. While one thread loads a model or prepares a light, the
+/// others can use finished entries.
 pub(super) struct RenderCache {
     models: Mutex<LruCache<ModelId, Slot<Renderer>>>,
     lights: Mutex<LruCache<LightKey, Slot<PreparedLight>>>,
@@ -222,7 +220,7 @@ impl RenderCache {
         lock(&self.lights).clear();
     }
 
-    /// What a task shows; gives up between loading and preparing when it is not wanted any more.
+    /// The scene of a task. Stops between loading and preparation if the result is no longer wanted.
     pub(super) fn scene(
         &self,
         task: &RenderTask,
@@ -236,7 +234,7 @@ impl RenderCache {
         Ok(RenderScene { lit: LitModel { renderer, light }, camera })
     }
 
-    /// The model and the light of a task; gives up likewise.
+    /// The model and light of a task. Stops as [`Self::scene`] does.
     pub(super) fn lit_model(
         &self,
         task: &LightTask,
@@ -255,7 +253,7 @@ impl RenderCache {
         is_wanted: &dyn Fn() -> bool,
     ) -> Result<Arc<Renderer>, RenderFailure> {
         check_wanted(is_wanted)?;
-        // One in memory would drive out those that are asked for again.
+        // A model in memory is not cached, because it would evict reusable entries.
         if let ModelContent::Memory(_) = source.content {
             return load(source, device);
         }
@@ -280,7 +278,7 @@ impl RenderCache {
     }
 }
 
-/// The entry of `key`. The cache is not locked while `make` runs; an entry that could not be made is not kept.
+/// The entry of `key`. The cache is not locked while `make` runs. A failed entry is not kept.
 fn get_or_make<K: Clone + Eq + Hash, T>(
     cache: &Mutex<LruCache<K, Slot<T>>>,
     key: &K,
@@ -303,7 +301,7 @@ fn get_or_make<K: Clone + Eq + Hash, T>(
     }
 }
 
-/// Locks; a thread that panicked leaves a cache whole and an entry empty.
+/// Locks a mutex. After a panic the cache is still valid and the entry is empty.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -312,7 +310,7 @@ fn check_wanted(is_wanted: &dyn Fn() -> bool) -> Result<(), RenderFailure> {
     if is_wanted() { Ok(()) } else { Err(RenderFailure::Abandoned) }
 }
 
-/// A model under a light. Holds nothing of the cache.
+/// A model under a light, independent of the cache.
 pub(super) struct LitModel {
     renderer: Arc<Renderer>,
     light: Arc<PreparedLight>,
@@ -325,14 +323,14 @@ impl LitModel {
     }
 }
 
-/// The same before a camera.
+/// A model under a light, with a camera.
 pub(super) struct RenderScene {
     lit: LitModel,
     camera: Camera,
 }
 
 impl RenderScene {
-    /// The frame of `task`. `between` is called between the bands of a dear one, and may end it.
+    /// Renders the frame of `task`. `between` is called between the bands of an expensive frame and can stop it.
     pub(super) fn render(
         &self,
         task: &RenderTask,
@@ -353,7 +351,7 @@ impl RenderScene {
     }
 }
 
-/// Scales what the light makes in a frame. All of it is linear in the light, so that the exposure of the light is a factor.
+/// Applies an exposure to a frame. A frame is linear in the light, so the exposure is a factor.
 fn expose(frame: &mut Frame, stops: f64) {
     if stops == 0.0 {
         return;

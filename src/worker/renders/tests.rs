@@ -7,7 +7,7 @@ fn render(cache: &RenderCache, task: &RenderTask) -> Result<Frame, RenderFailure
     cache.scene(task, &Device::Cpu, &|| true)?.render(task, || Ok(()))
 }
 
-/// Three opaque balls that see the whole sky, in a file.
+/// A model file with three opaque balls that see the whole sky.
 fn model(folder: &tempfile::TempDir) -> ModelSource {
     let mut gaussians = Gaussians::zeroed(3, 1, 2, 0);
     for i in 0..3 {
@@ -96,7 +96,7 @@ fn background_environment_is_rotated_and_exposed_like_the_light() {
     let task = task(&model, Tier::Preview, 0.0);
     let camera = task.viewpoint.camera(load(&model, &Device::Cpu).unwrap().model()).unwrap();
     let map = task.light.map().unwrap().unwrap().rotated_and_scaled(30.0, 1.0);
-    // A corner, where no ball is.
+    // A corner without a ball.
     assert_eq!(without.planes[&Output::Rgb][..3], [0.0; 3]);
     for (k, expected) in map.sample(camera.ray(0, 0)).into_iter().enumerate() {
         let (seen, brighter) = (with.planes[&Output::Rgb][k], bright.planes[&Output::Rgb][k]);
@@ -160,7 +160,10 @@ fn rendering_a_deleted_model_or_environment_reports_gone() {
     std::fs::remove_file(path).unwrap();
     assert_eq!(render(&task), Err(RenderFailure::Gone { what: "model", id: "model".to_owned() }));
     std::fs::create_dir(path).unwrap();
-    assert!(matches!(render(&task), Err(RenderFailure::Internal(_))), "a file that cannot be read is one");
+    assert!(
+        matches!(render(&task), Err(RenderFailure::Internal(_))),
+        "an unreadable file is an internal error"
+    );
 }
 
 #[test]
@@ -178,10 +181,10 @@ fn viewer_and_frames_share_one_prepared_light() {
     let nobody = cache.lit_model(&other, &Device::Cpu, &|| false);
     assert!(matches!(nobody, Err(RenderFailure::Abandoned)) && lock(&cache.lights).len() == 1);
     cache.lit_model(&other, &Device::Cpu, &|| true).unwrap();
-    assert_eq!(lock(&cache.lights).len(), 2, "the control: somebody waits for it");
+    assert_eq!(lock(&cache.lights).len(), 2, "the control: a caller waits for it");
 }
 
-/// A model whose file is a pipe: loading it lasts until somebody writes.
+/// A model whose file is a pipe, so that loading blocks until the test writes to it.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_ready_model_renders_while_another_one_loads() {
@@ -202,12 +205,13 @@ fn a_ready_model_renders_while_another_one_loads() {
 
     let (slow_cache, slow_task) = (cache.clone(), task_of(&loading));
     let slow = std::thread::spawn(move || render(&slow_cache, &slow_task));
-    // Opening a pipe returns when the other side has opened it: the other thread is inside the load.
+    // Opening a pipe returns when the other side has opened it, so the other thread is now loading.
     let mut writer = std::fs::OpenOptions::new().write(true).open(&pipe).unwrap();
     let (done, frames) = std::sync::mpsc::channel();
     let (quick_cache, quick_task) = (cache.clone(), task_of(&ready));
     std::thread::spawn(move || done.send(render(&quick_cache, &quick_task)));
-    let frame = frames.recv_timeout(Duration::from_secs(60)).expect("the ready model waits for the other");
+    let frame =
+        frames.recv_timeout(Duration::from_secs(60)).expect("the ready model must not wait for the other");
     assert_eq!(frame.unwrap().planes, first.planes);
     writer.write_all(&bytes).unwrap();
     drop(writer);

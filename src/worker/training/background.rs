@@ -1,4 +1,4 @@
-//! Long work of an attempt that needs no device: on another thread, so that cancellation is seen.
+//! Runs long work of an attempt that needs no device on another thread, so that a cancellation is handled immediately.
 
 use std::ops::ControlFlow;
 
@@ -10,11 +10,11 @@ use crate::worker::training::outcome::{AttemptEnd, AttemptError, stop_attempt};
 use relume_api::work::{LeaseStatus, Release};
 
 impl Worker {
-    /// What `work` makes, or how the attempt ended before that. Work whose result is not wanted any more runs to its end
-    /// unheard.
+    /// Runs `work` on another thread. Returns its result, or the end of the attempt if that comes first; the work then continues,
+    /// and its result is discarded.
     ///
     /// # Panics
-    /// When `work` does.
+    /// If `work` panics.
     pub(super) async fn run_in_background<T: Send + 'static>(
         &mut self,
         claim: &dyn Claim,
@@ -126,7 +126,7 @@ mod tests {
         });
         let work = move || {
             began.send(()).unwrap();
-            // Until the test has ended: whoever waits for this waits for ever.
+            // Blocks until the end of the test.
             let _ = finished.recv();
         };
         let ending = worker
@@ -154,6 +154,6 @@ mod tests {
             .unwrap_or_else(|error| panic!("{}", error.detail));
         assert_eq!(ending, ControlFlow::Break(AttemptEnd::Stopped));
         drop(finish);
-        assert!(claimed(&worker).await.is_some(), "the job is in the queue again");
+        assert!(claimed(&worker).await.is_some(), "the job was returned to the queue");
     }
 }

@@ -1,4 +1,4 @@
-//! Which held-out views a finished model is compared with, and what comes of it.
+//! Compares a finished model with held-out views.
 
 use std::sync::Arc;
 
@@ -9,25 +9,25 @@ use relume_scene::Model;
 use relume_spec::rendering::Tier;
 use relume_train::eval::{EvalError, NovelViews};
 
-/// Most views that are compared.
+/// Maximum number of views to compare.
 const MAX_VIEWS: usize = 8;
-/// What is said of a capture without any.
+/// The warning for a capture without held-out views.
 pub(super) const NO_VIEWS: &str = "the capture has no held-out views: nothing was compared";
 
-/// A comparison to come, or in progress. Of the held-out views only those that it takes stay in memory.
+/// A comparison with its views. Only the selected held-out views stay in memory.
 pub(super) struct Comparison {
     pub waiting: std::vec::IntoIter<CaptureView>,
-    /// Views to compare.
+    /// Number of views to compare.
     pub count: usize,
     pub compared: usize,
-    /// Views that the capture holds out, compared or not.
+    /// Number of held-out views of the capture.
     held_out: usize,
-    /// There once a view was compared.
+    /// The results, after the first view.
     views: Option<NovelViews>,
 }
 
 impl Comparison {
-    /// Of views of `capture`, evenly spaced.
+    /// Selects evenly spaced views of `capture`.
     pub fn new(capture: Capture, with_turns: bool) -> Self {
         let views = capture.test;
         let (all, count) = (views.len(), views.len().min(MAX_VIEWS));
@@ -43,10 +43,10 @@ impl Comparison {
         Self { waiting: waiting.into_iter(), count, compared: 0, held_out: all, views: None }
     }
 
-    /// Compares one.
+    /// Compares one view.
     ///
     /// # Errors
-    /// When the device failed, or the view cannot be rendered.
+    /// If the device fails or the view cannot be rendered.
     pub fn compare(
         &mut self,
         view: &CaptureView,
@@ -62,12 +62,12 @@ impl Comparison {
         Ok(())
     }
 
-    /// The means over all views that were compared.
+    /// The means over all compared views.
     pub fn figures(&self) -> Figures {
         let scores = self.views.as_ref().map(NovelViews::scores);
         let note = scores.map_or(Some(NO_VIEWS), |scores| {
             let absent = scores.shaded.psnr.is_none();
-            absent.then_some("the model was trained for colour alone: only the radiance branch was compared")
+            absent.then_some("the model was trained without materials: only the radiance branch was compared")
         });
         let scores = scores.unwrap_or_default();
         let psnr = |psnr| Similarity { psnr, ssim: None };
@@ -103,9 +103,13 @@ mod tests {
         let expected = [0, 2, 5, 7, 10, 12, 15, 17].map(|i: usize| names[i].clone());
         assert_eq!(taken.iter().map(|view| view.name.clone()).collect::<Vec<_>>(), expected);
         assert!(taken.iter().all(|view| view.light_rotation_deg == 30.0));
-        assert_eq!(Comparison::new(capture.clone(), true).figures().held_out_views, 20, "all are counted");
+        assert_eq!(
+            Comparison::new(capture.clone(), true).figures().held_out_views,
+            20,
+            "all held-out views are counted"
+        );
         let still = Comparison::new(capture, false).waiting.next().unwrap();
-        assert_eq!(still.light_rotation_deg, 0.0, "as if the light had stood still");
+        assert_eq!(still.light_rotation_deg, 0.0, "the rotation of the light is ignored");
     }
 
     #[test]

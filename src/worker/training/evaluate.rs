@@ -1,5 +1,5 @@
-//! Comparing a finished model with the capture's held-out views, a view at a time, so that cancellation is seen and the lease is
-//! renewed in between.
+//! Compares a finished model with the capture's held-out views, one view at a time, so that a cancellation is handled and the
+//! lease is renewed in between.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use relume_train::eval::EvalError;
 use relume_train::render::RenderError;
 
 impl Worker {
-    /// What the model of a finished training is found to be.
+    /// Measures the accuracy of a finished model.
     pub(super) async fn measure(
         &mut self,
         attempt: &mut TrainingAttempt<'_>,
@@ -43,7 +43,7 @@ impl Worker {
     }
 }
 
-/// A device that failed is opened anew and the job goes on from its checkpoint; whatever else fails would fail again.
+/// After a device failure the job can continue from its checkpoint; any other failure would occur again.
 fn failed(error: EvalError) -> AttemptError {
     match error {
         EvalError::Device(error) | EvalError::Render { source: RenderError::Device(error), .. } => {

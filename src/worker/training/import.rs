@@ -1,4 +1,4 @@
-//! Reading a job's capture, and the light that it is known to have been taken in.
+//! Reads a job's capture and its known light.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -15,7 +15,7 @@ use relume_spec::training::TrainConfig;
 use relume_train::{MemoryBudget, MemoryEstimate, PhotographSizes, import_for_training};
 
 impl Worker {
-    /// Reads the capture on another thread while this one renders; stops early when the job is to stop.
+    /// Reads the capture on another thread while frames are rendered. Stops early if the job is to stop.
     pub(super) async fn import(
         &mut self,
         claim: &dyn Claim,
@@ -23,12 +23,12 @@ impl Worker {
     ) -> Result<ControlFlow<AttemptEnd, Capture>, AttemptError> {
         announce(claim, "reading the capture").await?;
         let path = claim.capture().await.map_err(|error| match error {
-            JobSourceError::Gone => AttemptError::new("capture_missing", "the capture is gone"),
+            JobSourceError::Gone => AttemptError::new("capture_missing", "the capture no longer exists"),
             error => error.into(),
         })?;
         let light = known_light(claim, config).await?;
         let (config, limits) = (config.clone(), self.import_limits);
-        // What is taken now may be free when the job is tried again; what the machine does not have never is.
+        // The budget is the memory of the machine, not the memory that is free at present, which may be larger at a retry.
         let budget = MemoryBudget::of_machine(self.device_of(claim)?);
         let read = move || load(&path, &config, &limits, budget, light.as_ref());
         let capture = match self.run_in_background(claim, read).await? {
@@ -52,13 +52,13 @@ async fn known_light(claim: &dyn Claim, config: &TrainConfig) -> Result<Option<L
     }
     let found = claim.environment(&EnvironmentId::from(light.environment.as_str())).await;
     let (path, sha256) = found.map_err(|error| match error {
-        JobSourceError::Gone => AttemptError::new(ENVIRONMENT_MISSING, "the known light is gone"),
+        JobSourceError::Gone => AttemptError::new(ENVIRONMENT_MISSING, "the known light no longer exists"),
         error => error.into(),
     })?;
     Ok(Some(LightSource::Stored { sha256, path }))
 }
 
-/// A capture with the light it is known to have been taken in.
+/// Reads a capture and sets its known light.
 fn load(
     path: &Path,
     config: &TrainConfig,
@@ -68,7 +68,7 @@ fn load(
 ) -> Result<Capture, AttemptError> {
     let mut capture = import_for_training(path, config, limits, budget)?;
     let memory = MemoryEstimate::of(&PhotographSizes::of(&capture), config, budget.on_device);
-    tracing::info!(%memory, available = budget.available, "the memory that a training takes");
+    tracing::info!(%memory, available = budget.available, "estimated memory of the training");
     if let (Some(known), Some(source)) = (&config.light, light) {
         let map = source
             .map()

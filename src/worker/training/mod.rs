@@ -41,7 +41,7 @@ struct TrainingAttempt<'a> {
 }
 
 impl Worker {
-    /// Trains the lease's job until it ends one way or another.
+    /// Runs the attempt until it ends.
     pub(super) async fn train(&mut self, claim: &dyn Claim) -> Result<AttemptEnd, AttemptError> {
         let request = &claim.task().request;
         let config = TrainConfig::new(request.preset, &request.overrides)
@@ -96,7 +96,7 @@ impl Worker {
         }
     }
 
-    /// Reads the capture and makes what trains on it.
+    /// Reads the capture and prepares its trainer.
     async fn prepared(
         &mut self,
         claim: &dyn Claim,
@@ -110,7 +110,7 @@ impl Worker {
         Ok(trainer.map_continue(|trainer| (capture, trainer)))
     }
 
-    /// Where a job trains.
+    /// The device of a job.
     pub(in crate::worker) fn device_of(&self, claim: &dyn Claim) -> Result<&Device, AttemptError> {
         match (claim.task().request.device, self.device()) {
             (JobDevice::Cpu, _) => Ok(&Device::Cpu),
@@ -146,11 +146,11 @@ impl TrainingAttempt<'_> {
         Ok(status)
     }
 
-    /// Stores a checkpoint. When that fails, the checkpoint before still counts: on a full disk the attempt ends there, so that
-    /// nothing more is computed than can be kept; after another failure training goes on.
+    /// Stores a checkpoint. If this fails, the previous checkpoint is kept. On a full disk the attempt ends, so that no more
+    /// progress is lost; after other failures the training continues.
     async fn checkpoint(&mut self) -> Result<(), AttemptError> {
         let bytes = self.trainer.checkpoint()?;
-        // Not before: a step that was not finite may have been rolled back.
+        // Read after the checkpoint, because a step that was not finite may have been rolled back.
         let step = i64::from(self.trainer.progress().step);
         self.store_checkpoint(step, bytes).instrument(info_span!("checkpoint", step)).await
     }
@@ -160,14 +160,14 @@ impl TrainingAttempt<'_> {
             Ok(_) => {}
             Err(error @ JobSourceError::Full) => return Err(error.into()),
             Err(error) => {
-                tracing::error!(%error, step, "a checkpoint could not be stored");
-                self.record_warning("a checkpoint could not be stored; training goes on").await;
+                tracing::error!(%error, step, "cannot store a checkpoint");
+                self.record_warning("a checkpoint could not be stored; the training continues").await;
             }
         }
         Ok(())
     }
 
-    /// Shows whoever watches the model as it is now.
+    /// Publishes the current model as a preview.
     fn show(&self, shown: &PreviewPublisher, model: Arc<Model>) {
         let (step, is_relightable) = (self.trainer.progress().step, self.trainer.is_relightable());
         shown.show(Preview { step, model, is_relightable });
@@ -175,11 +175,11 @@ impl TrainingAttempt<'_> {
 
     async fn record_warning(&self, warning: &str) {
         if let Err(error) = self.claim.warn(warning).await {
-            tracing::warn!(%error, warning, "a warning could not be recorded");
+            tracing::warn!(%error, warning, "cannot record a warning");
         }
     }
 
-    /// Stores a checkpoint and gives the job back to the queue.
+    /// Stores a checkpoint and returns the job to the queue.
     async fn suspend(&mut self) -> Result<AttemptEnd, AttemptError> {
         let step = i64::from(self.trainer.progress().step);
         if step > self.claim.task().checkpoint_step.unwrap_or(0) {
@@ -198,11 +198,11 @@ fn pixels_of(capture: &Capture) -> f64 {
     pixels / capture.train.len().max(1) as f64
 }
 
-/// A source that fails for a while, e.g. on a full disk, is no reason to throw hours of training away: whether the
-/// lease still stands shows at the next write that succeeds, and nothing is published without one.
+/// A temporary failure of the source, e.g. on a full disk, must not discard the training. The next successful write shows whether
+/// the lease is still held, and nothing is published without a lease.
 fn held_or_unknown(status: Result<LeaseStatus, JobSourceError>) -> LeaseStatus {
     status.unwrap_or_else(|error| {
-        tracing::error!(%error, "what keeps the jobs failed under a running one");
+        tracing::error!(%error, "the job source failed during a job; the training continues");
         LeaseStatus::Held
     })
 }

@@ -1,4 +1,4 @@
-//! How an attempt at a job ends.
+//! The end of an attempt at a job.
 
 use crate::worker::job_source::{Claim, JobSourceError};
 use relume_api::work::LeaseStatus;
@@ -14,20 +14,20 @@ pub(in crate::worker) enum AttemptEnd {
     Cancelled,
     /// The lease was lost; another worker may have the job.
     Lost,
-    /// The server is stopping; the job is checkpointed and back in the queue.
+    /// The worker is stopping; the job was checkpointed and returned to the queue.
     Stopped,
 }
 
-/// Code of failures to find or read a known light.
+/// Code of a known light that is missing or unreadable.
 pub(super) const ENVIRONMENT_MISSING: &str = "environment_missing";
-/// Code of failures after which the device is opened anew.
+/// Code of a device failure, after which the device is reopened.
 const DEVICE_FAILED: &str = "device_failed";
-/// Code of failures that end when there is room on the disk.
+/// Code of a full disk. The job waits for disk space.
 const STORAGE_FULL: &str = "storage_full";
-/// Code of failures that end when what keeps the jobs can be reached.
+/// Code of a job source that cannot be reached.
 const UNREACHABLE: &str = "unreachable";
 
-/// A failure that ends the attempt and, unless it is the device's or a full disk, the job.
+/// A failure that ends the attempt and, unless it is a device failure, an outage or a full disk, the job.
 pub(in crate::worker) struct AttemptError {
     /// Stable code.
     pub(in crate::worker) code: &'static str,
@@ -40,17 +40,17 @@ impl AttemptError {
         Self { code, detail: detail.into() }
     }
 
-    /// True when the device failed: it has to be opened anew, and the job may go on from its checkpoint.
+    /// Whether the device failed. It must be reopened, and the job can continue from its checkpoint.
     pub(in crate::worker) fn is_device_failure(&self) -> bool {
         self.code == DEVICE_FAILED
     }
 
-    /// True when what keeps the jobs was away: the job goes on from its checkpoint, and nobody is to blame.
+    /// Whether the job source could not be reached. The job continues from its checkpoint, and the attempt is not counted.
     pub(in crate::worker) fn is_outage(&self) -> bool {
         self.code == UNREACHABLE
     }
 
-    /// True when the disk was full: the job goes on from its checkpoint once there is room.
+    /// Whether the disk was full. The job continues from its checkpoint when there is disk space.
     pub(in crate::worker) fn is_shortage(&self) -> bool {
         self.code == STORAGE_FULL
     }
@@ -58,14 +58,14 @@ impl AttemptError {
 
 impl From<JobSourceError> for AttemptError {
     fn from(error: JobSourceError) -> Self {
-        tracing::error!(%error, "what keeps the jobs failed under one");
+        tracing::error!(%error, "the job source failed during a job");
         match error {
             JobSourceError::Full => Self::new(STORAGE_FULL, "the disk is full"),
             JobSourceError::Unreachable(why) => Self::new(UNREACHABLE, why),
             JobSourceError::Damaged => Self::new("artifact_damaged", error.to_string()),
-            JobSourceError::Gone => Self::new("artifact_damaged", "something that the job needs is gone"),
+            JobSourceError::Gone => Self::new("artifact_damaged", "a resource of the job no longer exists"),
             JobSourceError::Failed(_) | JobSourceError::Refused(_) => {
-                Self::new("storage_failed", "the store failed; the server's log says how")
+                Self::new("storage_failed", "the store failed; see the log of the server")
             }
         }
     }
@@ -74,7 +74,7 @@ impl From<JobSourceError> for AttemptError {
 impl From<TrainError> for AttemptError {
     fn from(error: TrainError) -> Self {
         match error {
-            // A model that is too large for the device stays so.
+            // A retry cannot help if the model is too large for the device.
             TrainError::Device(error @ (DeviceError::TooLarge { .. } | DeviceError::Unavailable(_))) => {
                 Self::new("device_unfit", error.to_string())
             }
@@ -86,7 +86,7 @@ impl From<TrainError> for AttemptError {
     }
 }
 
-/// Ends an attempt whose lease is lost or whose job is to be cancelled.
+/// Ends an attempt whose lease is lost or whose job is cancelled.
 pub(in crate::worker) async fn stop_attempt(claim: &dyn Claim) -> Result<AttemptEnd, JobSourceError> {
     match claim.check().await? {
         LeaseStatus::Cancelling => {

@@ -1,4 +1,4 @@
-//! From a capture to a trainer that stands where the job's last checkpoint left it.
+//! Prepares a trainer from a capture and the job's last checkpoint.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use relume_spec::training::TrainConfig;
 use relume_train::{PreparedTraining, TrainError, Trainer};
 
 impl Worker {
-    /// Continues from the last checkpoint, or starts over when none can be read.
+    /// Continues from the last checkpoint, or starts from step 0 if it cannot be read.
     pub(super) async fn trainer(
         &mut self,
         claim: &dyn Claim,
@@ -24,7 +24,7 @@ impl Worker {
         announce(claim, "preparing").await?;
         let checkpoint = match claim.task().checkpoint_step {
             Some(_) => match claim.last_checkpoint().await {
-                // It is there and will be had again.
+                // The checkpoint exists and will be available again.
                 Err(error @ JobSourceError::Unreachable(_)) => return Err(error.into()),
                 read => Some(read),
             },
@@ -37,14 +37,14 @@ impl Worker {
                 ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
             };
         if let Some(error) = lost {
-            tracing::warn!(%error, "a checkpoint cannot be used");
-            claim.warn("the last checkpoint cannot be read; training starts over").await?;
+            tracing::warn!(%error, "cannot use the checkpoint");
+            claim.warn("the last checkpoint cannot be read; the training restarts from step 0").await?;
         }
         Ok(ControlFlow::Continue(preparation.on(self.device_of(claim)?)?))
     }
 }
 
-/// What training goes on from, and why that is not the checkpoint if there is one.
+/// The trainer, and the reason why it does not start from the given checkpoint, if it does not.
 fn prepare(
     capture: &Capture,
     config: TrainConfig,

@@ -7,8 +7,8 @@ use relume_api::work::LeaseStatus;
 use relume_capture::formats::{model_file, ply_model};
 use relume_scene::Model;
 
-/// Writes the files of a model that was trained for `seconds`, then publishes them and ends the job. What was written and is not
-/// published is removed.
+/// Stores the files of a model that was trained for `seconds`, publishes them and ends the job. Files that are not published are
+/// removed.
 pub(super) async fn publish(
     claim: &dyn Claim,
     seconds: f64,
@@ -28,7 +28,7 @@ pub(super) async fn publish(
     }
 }
 
-/// The model's card with the time it took, which the file leaves out, so that its bytes depend on the job alone.
+/// The model card with the training time. The file does not contain the time, so that its bytes depend only on the job.
 fn with_time(model: &Model, seconds: f64) -> serde_json::Value {
     let mut card = model.card.clone();
     if let Some(fields) = card.as_object_mut() {

@@ -18,7 +18,7 @@ from relume.uploads import archive_of, upload
 class Client:
     """A Relume server.
 
-    `key` is an API key where the server wants one; the environment variable RELUME_KEY where absent. `timeout` bounds how long an
+    `key` is an API key where the server wants one; omitted: the environment variable RELUME_API_KEY, or RELUME_KEY (deprecated). `timeout` bounds how long an
     answer may take, seconds. Methods raise RelumeError for what the server refuses and Unreachable when it does not answer.
     """
 
@@ -30,7 +30,7 @@ class Client:
         timeout: float = 600.0,
         transport: httpx.BaseTransport | None = None,
     ) -> None:
-        self._connection = Connection(url, key or os.environ.get("RELUME_KEY"), timeout, transport)
+        self._connection = Connection(url, key or os.environ.get("RELUME_API_KEY") or os.environ.get("RELUME_KEY"), timeout, transport)
 
     def __enter__(self) -> Client:
         return self

@@ -1,37 +1,37 @@
-//! What a photographer should know of a set of photographs.
+//! Findings about a set of photographs, for the photographer.
 
 use super::photo::PhotoStats;
 
-/// Fewer photographs than these are too few, or few.
+/// Numbers of photographs below which a set is too small, or small.
 const TOO_FEW: usize = 12;
 const FEW: usize = 40;
-/// Sharpness over the median of the set, below which a photograph is blurred.
+/// Sharpness relative to the median of the set, below which a photograph is blurred.
 const BLURRED: f64 = 0.35;
-/// Resemblance to the nearest photograph, below which one stands alone.
+/// Similarity to the most similar photograph, below which a photograph overlaps too little with the others.
 const ALONE: f64 = 0.5;
-/// Share of clipped pixels that is worth a word.
+/// Share of clipped pixels above which a photograph is overexposed.
 const CLIPPED: f64 = 0.1;
-/// Mean luma as displayed below which a photograph is dark.
+/// Mean displayed luma below which a photograph is dark.
 const DARK: f64 = 0.08;
 /// Longest side below which a photograph is small, pixels.
 const SMALL: u32 = 640;
-/// Stops by which the camera's settings may differ.
+/// Largest difference of the camera's exposure settings, stops.
 const SETTINGS_EV: f64 = 0.34;
-/// Share of the photographs from which on a fault is one of the set.
+/// Share of the photographs above which a fault is a problem of the set.
 const MANY: f64 = 0.25;
 
-/// Something that a photographer should know.
+/// A finding for the photographer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
-    /// True where a training would be in vain; else it may be worse than it could be.
+    /// True if training would fail; false if the model may only be worse than possible.
     pub is_problem: bool,
-    /// What it is, and what to do.
+    /// The fault and its remedy.
     pub text: String,
-    /// The photographs that it is about; none for all.
+    /// The photographs concerned; empty for the whole set.
     pub photos: Vec<String>,
 }
 
-/// Everything there is to say, problems first.
+/// All findings, problems first.
 pub(super) fn findings(photos: &[PhotoStats], unreadable: &[String]) -> Vec<Finding> {
     let mut all = Vec::new();
     all.extend(number(photos.len()));
@@ -42,21 +42,21 @@ pub(super) fn findings(photos: &[PhotoStats], unreadable: &[String]) -> Vec<Find
     let median = median(photos.iter().map(|photo| photo.sharpness).collect());
     all.extend(about(
         photos,
-        "are blurred beside the others: hold still, more light, a shorter exposure",
+        "are blurred compared with the others: hold the camera still, add light or shorten the exposure",
         |photo| photo.sharpness < BLURRED * median,
     ));
     all.extend(about(
         photos,
-        "resemble no other: at least two thirds of each should be seen in the next",
+        "overlap too little with the others: each should show at least two thirds of what its neighbour shows",
         |photo| photos.len() > 1 && photo.overlap < ALONE,
     ));
-    all.extend(about(photos, "are dark: more light, or a longer exposure on a tripod", |photo| {
+    all.extend(about(photos, "are dark: add light, or use a tripod and a longer exposure", |photo| {
         photo.brightness < DARK
     }));
-    let clipped = "have more than a tenth of their pixels at white: less exposure, unless what is white is the background";
+    let clipped = "are overexposed in a tenth of their pixels or more: reduce the exposure, unless the background is white";
     all.extend(about(photos, clipped, |photo| photo.clipped > CLIPPED).map(hint));
     all.extend(
-        about(photos, "are small: below 640 pixels little detail is left", |photo| {
+        about(photos, "are small: images of less than 640 pixels show little detail", |photo| {
             photo.size.0.max(photo.size.1) < SMALL
         })
         .map(hint),
@@ -68,14 +68,16 @@ pub(super) fn findings(photos: &[PhotoStats], unreadable: &[String]) -> Vec<Find
 
 fn number(photos: usize) -> Option<Finding> {
     let (is_problem, text) = match photos {
-        0..TOO_FEW => (true, format!("{photos} photographs are too few: take 40 to 200, from all sides")),
-        TOO_FEW..FEW => (false, format!("{photos} photographs are few: 40 to 200 from all sides are better")),
+        0..TOO_FEW => (true, format!("{photos} photographs are too few: take 40 to 200 from all sides")),
+        TOO_FEW..FEW => {
+            (false, format!("{photos} photographs are few: 40 to 200 from all sides give a better model"))
+        }
         _ => return None,
     };
     Some(Finding { is_problem, text, photos: Vec::new() })
 }
 
-/// A finding of the photographs for which `is_so`; a problem where they are many.
+/// A finding about the photographs for which `is_so`; a problem if they are more than the share [`MANY`].
 fn about(photos: &[PhotoStats], what: &str, is_so: impl Fn(&PhotoStats) -> bool) -> Option<Finding> {
     let names: Vec<String> =
         photos.iter().filter(|photo| is_so(photo)).map(|photo| photo.name.clone()).collect();
@@ -88,7 +90,7 @@ fn hint(finding: Finding) -> Finding {
     Finding { is_problem: false, ..finding }
 }
 
-/// What the camera chose from one photograph to the next.
+/// Findings about the camera's settings over the set.
 fn camera(photos: &[PhotoStats]) -> Vec<Finding> {
     let mut found = Vec::new();
     let mut say = |text: String| found.push(Finding { is_problem: false, text, photos: Vec::new() });
@@ -97,13 +99,15 @@ fn camera(photos: &[PhotoStats]) -> Vec<Finding> {
     let high = exposures.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     if high - low > SETTINGS_EV {
         say(format!(
-            "the camera's exposure differs by {:.1} stops between photographs: fix time, aperture and ISO",
+            "the exposure differs by {:.1} stops between photographs: fix shutter speed, aperture and ISO",
             high - low
         ));
     }
     let auto = photos.iter().filter(|photo| photo.camera.auto_white_balance == Some(true)).count();
     if auto > 0 {
-        say(format!("the camera chose the white balance of {auto} photographs: fix it"));
+        say(format!(
+            "the camera chose the white balance of {auto} photographs automatically: set a fixed white balance"
+        ));
     }
     let differ = |of: &dyn Fn(&PhotoStats) -> Option<String>| {
         let mut values: Vec<String> = photos.iter().filter_map(of).collect();
@@ -115,7 +119,8 @@ fn camera(photos: &[PhotoStats]) -> Vec<Finding> {
         say("the focal length differs between photographs: do not zoom".to_owned());
     }
     if differ(&|photo| Some(format!("{:?}", photo.size))) {
-        say("the photographs have several sizes: one camera, held one way, is placed more surely".to_owned());
+        say("the photographs have several sizes: one camera in one orientation gives more reliable poses"
+            .to_owned());
     }
     found
 }
@@ -162,9 +167,9 @@ mod tests {
         type Fault = fn(&mut PhotoStats);
         let faults: [(Fault, &str, bool); 7] = [
             (|p| p.sharpness = 10.0, "blurred", true),
-            (|p| p.overlap = 0.1, "resemble no other", true),
+            (|p| p.overlap = 0.1, "overlap too little", true),
             (|p| p.brightness = 0.01, "dark", true),
-            (|p| p.clipped = 0.5, "at white", false),
+            (|p| p.clipped = 0.5, "overexposed", false),
             (|p| p.size = (400, 300), "small", false),
             (|p| p.camera.exposure_s = Some(0.02), "1.0 stops", false),
             (|p| p.camera.auto_white_balance = Some(true), "white balance", false),

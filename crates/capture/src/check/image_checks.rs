@@ -1,4 +1,4 @@
-//! What an import sees of photographs on its way, and what a photographer should know of it.
+//! Checks of photographs during an import, and the findings from them.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -9,22 +9,22 @@ use crate::formats::exif_data::ExifData;
 use crate::sharpness;
 use relume_scene::ImageRgba;
 
-/// Photographs that were looked at, in any order.
+/// Statistics of the photographs that were checked, in any order.
 #[derive(Default)]
 pub(crate) struct ImageChecks(Mutex<Vec<(PhotoStats, Thumbnail)>>);
 
 impl ImageChecks {
-    /// Longest side of the images that are looked at, pixels.
+    /// Longest side of the images that are checked, pixels.
     pub(crate) const SIDE: u32 = sharpness::SIDE;
 
-    /// Looks at a photograph of `stored` pixels, reduced to at most [`Self::SIDE`].
+    /// Checks a photograph of `stored` pixels, reduced to at most [`Self::SIDE`].
     pub(crate) fn add(&self, name: &str, image: &ImageRgba, stored: (u32, u32)) {
         let stats = photo::stats(name, image, stored, ExifData::default());
         let look = (stats, Thumbnail::of(image));
         self.0.lock().unwrap_or_else(PoisonError::into_inner).push(look);
     }
 
-    /// What is to be said of single photographs; they are named in their order.
+    /// Findings about single photographs, which are named in sorted order.
     pub(crate) fn findings(self) -> Vec<Finding> {
         let mut image_checks = self.0.into_inner().unwrap_or_else(PoisonError::into_inner);
         image_checks.sort_by(|a, b| a.0.name.cmp(&b.0.name));
@@ -60,6 +60,9 @@ mod tests {
         let dark: Vec<_> = found.iter().filter(|finding| finding.text.contains("are dark")).collect();
         assert_eq!(dark.len(), 1, "{found:?}");
         assert_eq!(dark[0].photos, ["dark.jpg"], "the control: the others have the same pixels, but a mask");
-        assert!(found.iter().all(|finding| !finding.text.contains("too few")), "that is about none of them");
+        assert!(
+            found.iter().all(|finding| !finding.text.contains("too few")),
+            "that finding names no photograph"
+        );
     }
 }

@@ -1,4 +1,4 @@
-//! Whether photographs are fit to be trained on, found out in seconds: number, blur, exposure, overlap.
+//! Fast checks whether photographs are suitable for training: number, blur, exposure, overlap.
 
 mod findings;
 mod image_checks;
@@ -13,23 +13,24 @@ use rayon::prelude::*;
 
 use crate::{CaptureError, PhotosWithoutPoses};
 
-/// What was found in photographs.
+/// The result of [`check_photographs`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhotographsReport {
-    /// Each photograph that can be read, by name.
+    /// Statistics of each readable photograph, by name.
     pub photos: Vec<PhotoStats>,
-    /// What a photographer should know, problems first.
+    /// Findings for the photographer, problems first.
     pub findings: Vec<Finding>,
 }
 
 impl PhotographsReport {
-    /// True where a training would be in vain.
+    /// True if training would fail.
     pub fn has_problems(&self) -> bool {
         self.findings.iter().any(|finding| finding.is_problem)
     }
 }
 
-/// Looks at every photograph, reduced. Blur and overlap are estimates: each photograph is compared with the others.
+/// Checks every photograph at a reduced size. Blur and overlap are estimates from comparing the photographs with each
+/// other.
 pub fn check_photographs(photographs: &PhotosWithoutPoses) -> PhotographsReport {
     let names: Vec<&str> = photographs.photos().collect();
     let read = |name: &&str| photo::analyse(name, &photographs.read(name)?);

@@ -1,15 +1,15 @@
-//! How much photographs show of each other, from thumbnails: an estimate that costs nothing beside finding features.
+//! Estimates the overlap of photographs from thumbnails, at a small fraction of the cost of feature matching.
 
 use rayon::prelude::*;
 
 use crate::sharpness::luma;
 use relume_scene::ImageRgba;
 
-/// Side of a thumbnail, pixels, whatever the shape of the photograph.
+/// Side of a thumbnail, pixels, for any aspect ratio of the photograph.
 const SIDE: usize = 24;
-/// Thumbnails are shifted against each other by so many pixels at most.
+/// Greatest shift of two thumbnails against each other, pixels.
 const REACH: isize = 8;
-/// Of many photographs each is compared with so many before and after it, by name.
+/// Each photograph is compared with at most this many before and after it, by name.
 const NEIGHBOURS: usize = 250;
 
 /// Luma, row-major, [`SIDE`] x [`SIDE`].
@@ -22,7 +22,7 @@ impl Thumbnail {
     }
 }
 
-/// For each thumbnail the largest similarity to any other; 0 where there is none.
+/// For each thumbnail the largest similarity to any other; 0 for a single thumbnail.
 pub(super) fn with_nearest(thumbnails: &[Thumbnail]) -> Vec<f64> {
     let nearest = |i: usize| {
         let others = i.saturating_sub(NEIGHBOURS)..(i + NEIGHBOURS + 1).min(thumbnails.len());
@@ -32,7 +32,7 @@ pub(super) fn with_nearest(thumbnails: &[Thumbnail]) -> Vec<f64> {
     (0..thumbnails.len()).into_par_iter().map(nearest).collect()
 }
 
-/// The correlation of two thumbnails where they lie on each other, at the shift where it is largest: 1 for equal ones.
+/// The correlation of the overlapping parts of two thumbnails at the shift that maximises it; 1 for equal thumbnails.
 fn similarity(a: &Thumbnail, b: &Thumbnail) -> f64 {
     let shifts = (-REACH..=REACH).step_by(2);
     let pairs = shifts.clone().flat_map(|y| shifts.clone().map(move |x| (x, y)));
@@ -57,7 +57,7 @@ fn correlation(a: &[f32], b: &[f32], (dx, dy): (isize, isize)) -> f64 {
     let [va, vb] = [0, 1].map(|k: usize| squares[k] / n - (sums[k] / n).powi(2));
     let covariance = product / n - sums[0] / n * (sums[1] / n);
     let scale = (va * vb).sqrt();
-    // Without contrast nothing is told.
+    // Thumbnails without contrast give no information.
     if scale > 1e-9 { covariance / scale } else { 0.0 }
 }
 

@@ -1,4 +1,4 @@
-//! What one photograph tells by itself.
+//! Statistics of one photograph.
 
 use super::overlap::Thumbnail;
 use crate::formats::exif_data::{self, ExifData};
@@ -7,29 +7,30 @@ use crate::sharpness::{SIDE, luma, sharpness};
 use crate::{CaptureError, ImportOptions};
 use relume_scene::ImageRgba;
 
-/// A channel from here on is clipped.
+/// Least value of a clipped channel.
 const WHITE: f32 = 253.5 / 255.0;
 
-/// What one photograph tells.
+/// Statistics of one photograph.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct PhotoStats {
-    /// Its name.
+    /// File name.
     pub name: String,
     /// Width and height, pixels.
     pub size: (u32, u32),
-    /// Variance of the Laplacian, see `sharpness.rs`; to be compared with that of other photographs of the thing.
+    /// Variance of the Laplacian, see `crates/capture/src/sharpness.rs`. Compare it only with photographs of the same
+    /// scene.
     pub sharpness: f64,
     /// Mean luma as displayed, 0 to 1.
     pub brightness: f64,
-    /// Share of pixels with a channel at white, 0 to 1.
+    /// Share of pixels with a clipped channel, 0 to 1.
     pub clipped: f64,
-    /// How much it resembles the photograph that it resembles most, -1 to 1; 0 where there is no other.
+    /// Similarity to the most similar photograph, -1 to 1; 0 for a single photograph.
     pub overlap: f64,
-    /// What the camera noted.
+    /// The camera's settings from EXIF.
     pub camera: ExifData,
 }
 
-/// Looks at a photograph, reduced.
+/// Decodes a photograph at a reduced size and computes its statistics.
 pub(super) fn analyse(name: &str, bytes: &[u8]) -> Result<(PhotoStats, Thumbnail), CaptureError> {
     let reduce = |size| ImportOptions::at_most(SIDE).reduced_size(size);
     let decoded = image_file::decode_reduced(bytes, image_file::DEFAULT_MAX_PIXELS, reduce);
@@ -38,7 +39,7 @@ pub(super) fn analyse(name: &str, bytes: &[u8]) -> Result<(PhotoStats, Thumbnail
     Ok((stats, Thumbnail::of(&image)))
 }
 
-/// What a reduced image of a photograph of `size` pixels tells; what is transparent does not count.
+/// Statistics of a reduced image of a photograph of `size` pixels; transparent pixels do not count.
 pub(super) fn stats(name: &str, image: &ImageRgba, size: (u32, u32), camera: ExifData) -> PhotoStats {
     let opaque = |pixel: &[f32; 4]| f64::from(pixel[3]);
     let count = image.pixels.iter().map(opaque).sum::<f64>().max(1e-6);

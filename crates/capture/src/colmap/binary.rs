@@ -1,5 +1,5 @@
-//! COLMAP's binary files. Every count is checked against the bytes that are left before memory is allocated.
-//! Errors name the file, and the entry at fault.
+//! COLMAP's binary files. Every count is checked against the bytes that remain before memory is allocated. Errors
+//! name the file and the entry at fault.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use crate::CaptureError;
 use crate::formats::ply_points::Point;
 use crate::lens::Lens;
 
-/// A little-endian reader that refuses to run past the end.
+/// A little-endian reader with bounds checks.
 pub(super) struct ByteReader<'a> {
     file: &'a str,
     rest: &'a [u8],
@@ -29,7 +29,7 @@ impl<'a> ByteReader<'a> {
     }
 
     fn cut_short(&self) -> CaptureError {
-        let reason = format!("is cut short at byte {} of {}", self.length - self.rest.len(), self.length);
+        let reason = format!("is truncated at byte {} of {}", self.length - self.rest.len(), self.length);
         CaptureError::File { file: self.file.to_owned(), reason }
     }
 
@@ -45,14 +45,14 @@ impl<'a> ByteReader<'a> {
         Ok(out)
     }
 
-    /// A number of entries of at least `size` bytes each, checked against the bytes that are left.
+    /// A number of entries of at least `size` bytes each, checked against the bytes that remain.
     fn count(&mut self, size: usize) -> Result<usize, CaptureError> {
         let count = u64::from_le_bytes(self.array()?);
         let fits =
             usize::try_from(count).ok().filter(|n| n.checked_mul(size).is_some_and(|b| b <= self.rest.len()));
         fits.ok_or_else(|| CaptureError::File {
             file: self.file.to_owned(),
-            reason: format!("claims {count} entries, more than its {} bytes can hold", self.length),
+            reason: format!("declares {count} entries, more than its {} bytes can contain", self.length),
         })
     }
 

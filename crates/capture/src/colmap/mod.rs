@@ -17,12 +17,12 @@ use crate::truth::TruthFiles;
 use crate::upright::upright;
 use crate::{CaptureError, CaptureFiles, masks};
 
-/// Folders that may hold a sparse model; the first that does is used.
+/// Folders that may contain a sparse model; the first that does is used.
 const FOLDERS: [&str; 5] = ["sparse/0/", "sparse/", "colmap/sparse/0/", "0/", ""];
-/// Folders that may hold its photographs; the first that has a file of the name is used.
+/// Folders that may contain its photographs; the first that has a file of the name is used.
 const IMAGE_FOLDERS: [&str; 6] = ["images/", "", "input/", "images_2/", "images_4/", "images_8/"];
 
-/// How the files of a model are stored.
+/// Encoding of the files of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ModelEncoding {
     Binary,
@@ -54,10 +54,10 @@ pub(super) fn find(source: &CaptureFiles) -> Option<ModelFiles> {
     candidates.find(|files| ["cameras", "images"].iter().all(|name| source.contains(&files.path(name))))
 }
 
-/// The photographs and points, in a world turned so that the cameras' mean up is +Z.
+/// The photographs and points, in a world rotated so that the cameras' mean up is +Z.
 ///
 /// # Errors
-/// Names the model file and the field at fault, or counts the images when too few are there.
+/// Names the model file and the field at fault, or counts the images if too few are present.
 pub(super) fn read(
     source: &CaptureFiles,
     files: ModelFiles,
@@ -78,7 +78,7 @@ pub(super) fn read(
     Ok((photos, points))
 }
 
-/// The photographs that a model names, whether or not they are there, in the world of [`read`].
+/// The photographs that a model names, present or not, in the world of [`read`].
 ///
 /// # Errors
 /// Names the model file and the field at fault.
@@ -135,7 +135,7 @@ fn photo(
 ) -> Result<PhotoEntry, CaptureError> {
     let field = format!("images[{}]", image.name);
     let lens = model.lenses.get(&image.camera).ok_or_else(|| {
-        let reason = format!("there is no camera {}", image.camera);
+        let reason = format!("the model has no camera {}", image.camera);
         CaptureError::at_field(stated_in, format!("{field}.camera_id"), reason)
     })?;
     Ok(PhotoEntry {
@@ -156,7 +156,7 @@ fn up(image: &PosedImage) -> DVec3 {
     image.rotation.inverse() * -DVec3::Y
 }
 
-/// Camera-to-world with OpenGL axes, in the turned world.
+/// Camera-to-world with OpenGL axes, in the rotated world.
 fn pose(image: &PosedImage, turn: DQuat) -> DMat4 {
     let to_world = DMat3::from_quat(turn * image.rotation.inverse());
     let centre = -(to_world * image.translation);

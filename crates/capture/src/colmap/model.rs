@@ -70,7 +70,7 @@ pub(super) fn lens(
         }
         _ => {
             let known = CAMERA_MODELS.map(|(name, count)| format!("{name} ({count})")).join(", ");
-            let reason = format!("{model} with {} parameters is not supported; these are: {known}", p.len());
+            let reason = format!("{model} with {} parameters is not supported; supported: {known}", p.len());
             return Err(CaptureError::at_field(file, field("model"), reason));
         }
     };
@@ -94,7 +94,7 @@ pub(super) fn posed(
     let rotation = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
     let length = rotation.length();
     if !(length.is_finite() && length > 1e-6) {
-        return Err(CaptureError::at_field(file, format!("images[{name}].qvec"), "is no rotation"));
+        return Err(CaptureError::at_field(file, format!("images[{name}].qvec"), "is not a rotation"));
     }
     let translation = DVec3::from(t);
     if !translation.is_finite() {

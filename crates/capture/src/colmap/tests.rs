@@ -1,4 +1,4 @@
-//! The text and binary readers on one model and on damaged files; the orientation of the world.
+//! Tests of the text and binary readers on one model and on damaged files, and of the orientation of the world.
 
 use glam::{DQuat, DVec3};
 
@@ -136,7 +136,7 @@ fn points_project_as_in_colmap_and_camera_up_becomes_z() {
     let got = camera.rotation * (turn * world) + camera.translation;
     assert!((got - expected).length() < 1e-12, "{got} {expected}");
     assert!((-camera.rotation.row(1) - DVec3::Z).length() < 1e-9, "this camera's up is the world's");
-    assert!((got - (rotation * (turn * world) + image.translation)).length() > 0.1, "the turn matters");
+    assert!((got - (rotation * (turn * world) + image.translation)).length() > 0.1, "the rotation matters");
 }
 
 #[test]

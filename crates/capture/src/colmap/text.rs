@@ -1,4 +1,4 @@
-//! COLMAP's text files. Errors name the file, and the line or entry at fault.
+//! COLMAP's text files. Errors name the file and the line or entry at fault.
 
 use std::collections::BTreeMap;
 
@@ -18,8 +18,10 @@ pub(super) struct TextFile<'a> {
 impl<'a> TextFile<'a> {
     /// The bytes of `file`, which must be UTF-8.
     pub(super) fn new(file: &'a str, bytes: &'a [u8]) -> Result<Self, CaptureError> {
-        let text = std::str::from_utf8(bytes)
-            .map_err(|_| CaptureError::File { file: file.to_owned(), reason: "is not text".to_owned() })?;
+        let text = std::str::from_utf8(bytes).map_err(|_| CaptureError::File {
+            file: file.to_owned(),
+            reason: "is not UTF-8 text".to_owned(),
+        })?;
         Ok(Self { file, text })
     }
 
@@ -37,12 +39,12 @@ impl<'a> TextFile<'a> {
     fn numbers<const N: usize>(&self, line: usize, words: &[&str]) -> Result<[f64; N], CaptureError> {
         let values: Option<Vec<f64>> = words.iter().take(N).map(|w| w.parse().ok()).collect();
         let array = values.and_then(|v| <[f64; N]>::try_from(v).ok());
-        array.ok_or_else(|| self.line_error(line, &format!("does not have {N} numbers where they belong")))
+        array.ok_or_else(|| self.line_error(line, &format!("must have {N} numbers here")))
     }
 
     fn id(&self, line: usize, word: Option<&&str>) -> Result<u32, CaptureError> {
         let id = word.and_then(|w| w.parse().ok());
-        id.ok_or_else(|| self.line_error(line, "has no whole number where an id belongs"))
+        id.ok_or_else(|| self.line_error(line, "must have a whole number as id"))
     }
 }
 
@@ -55,7 +57,7 @@ pub(super) fn cameras(text: &TextFile<'_>) -> Result<BTreeMap<u32, Lens>, Captur
         let model = words.get(1).ok_or_else(|| text.line_error(line, "has no camera model"))?;
         let [w, h] = text.numbers(line, words.get(2..).unwrap_or_default())?;
         let params: Option<Vec<f64>> = words[4..].iter().map(|w| w.parse().ok()).collect();
-        let params = params.ok_or_else(|| text.line_error(line, "has a parameter that is no number"))?;
+        let params = params.ok_or_else(|| text.line_error(line, "has a parameter that is not a number"))?;
         lenses.insert(id, lens(text.file, id, model, (w, h), &params)?);
     }
     Ok(lenses)
@@ -76,7 +78,7 @@ pub(super) fn images(text: &TextFile<'_>, allowed: usize) -> Result<Vec<PosedIma
         let name = name.ok_or_else(|| text.line_error(line, "has no image name"))?;
         images.push(posed(text.file, name, camera, [qw, qx, qy, qz], [tx, ty, tz])?);
         check_count(text.file, "max_images", images.len(), allowed)?;
-        // The second line holds the observations and may be empty.
+        // The second line contains the observations and may be empty.
         lines.next();
     }
     Ok(images)

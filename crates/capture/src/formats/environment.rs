@@ -1,4 +1,4 @@
-//! Equirectangular environment maps: Radiance `.hdr` and OpenEXR bytes to [`EnvMap`] and back.
+//! Equirectangular environment maps: converts Radiance `.hdr` and OpenEXR bytes to [`EnvMap`] and back.
 
 use std::io::Cursor;
 
@@ -13,7 +13,7 @@ pub const MAX_WIDTH: u32 = 16_384;
 /// Largest height of a map, texels.
 pub const MAX_HEIGHT: u32 = 8_192;
 
-/// Why an environment file was refused.
+/// Errors of reading and writing environment files.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum EnvironmentFileError {
     /// Neither Radiance nor OpenEXR.
@@ -22,12 +22,12 @@ pub enum EnvironmentFileError {
     /// Larger than [`MAX_WIDTH`] x [`MAX_HEIGHT`] according to the header.
     #[error("environment: {width}x{height} is larger than {MAX_WIDTH}x{MAX_HEIGHT}")]
     TooLarge {
-        /// Width the header names.
+        /// Width according to the header.
         width: u32,
-        /// Height the header names.
+        /// Height according to the header.
         height: u32,
     },
-    /// Cut short or corrupt, or it could not be written.
+    /// The file is truncated or corrupt, or could not be written.
     #[error("environment: {0}")]
     File(#[from] ImageFileError),
     /// The values are unusable.
@@ -65,19 +65,19 @@ pub fn decode(bytes: &[u8]) -> Result<LoadedEnvironment, EnvironmentFileError> {
         warnings.push(format!("{} negative colour values were set to 0", stats.clamped_negatives));
     }
     if width != 2 * height {
-        warnings.push(format!("{width}x{height} is not 2:1; it is taken as a full sphere all the same"));
+        warnings.push(format!("{width}x{height} is not 2:1; it is treated as a full sphere"));
     }
     Ok(LoadedEnvironment { map, warnings })
 }
 
-/// Bytes that [`decode`] takes beside the file itself, from the header.
+/// Bytes of memory that [`decode`] takes in addition to the file itself, from the header.
 ///
 /// # Errors
-/// As [`decode`], as far as the header shows it.
+/// As [`decode`], for what the header shows.
 pub fn decoding_bytes(bytes: &[u8]) -> Result<u64, EnvironmentFileError> {
     let ((width, height), read) = if exr_image::is_exr(bytes) {
         let size = exr_image::dimensions(bytes)?;
-        // As they are decoded, and gathered as four floats a texel.
+        // The decoded channels, then four floats a texel.
         (size, exr_image::decoded_bytes(bytes)? + texels(size) * 16)
     } else if bytes.starts_with(b"#?") {
         let decoder = HdrDecoder::new(Cursor::new(bytes));
@@ -87,7 +87,7 @@ pub fn decoding_bytes(bytes: &[u8]) -> Result<u64, EnvironmentFileError> {
         return Err(EnvironmentFileError::UnknownKind);
     };
     check_size(width, height)?;
-    // And the map.
+    // The map itself.
     Ok(read + texels((width, height)) * 12)
 }
 

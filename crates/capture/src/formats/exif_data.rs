@@ -1,10 +1,10 @@
-//! What a camera notes in a photograph.
+//! EXIF data of a photograph.
 
 use std::io::Cursor;
 
 use exif::{Exif, In, Reader, Tag, Value};
 
-/// What a camera notes in a photograph, as far as it does.
+/// EXIF data of a photograph; `None` where the camera stated nothing.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ExifData {
     /// Model of the camera.
@@ -19,12 +19,12 @@ pub struct ExifData {
     pub focal_mm: Option<f64>,
     /// True when the camera chose the white balance.
     pub auto_white_balance: Option<bool>,
-    /// How the picture is to be turned, 1 to 8 as EXIF counts; 1 is upright.
+    /// EXIF orientation of the picture, 1 to 8; 1 is upright.
     pub orientation: Option<u8>,
 }
 
 impl ExifData {
-    /// How bright the camera's settings make a scene, stops: equal settings, equal numbers.
+    /// Exposure by the camera's settings, stops; +1 doubles the brightness of a scene.
     pub fn exposure_ev(&self) -> Option<f64> {
         let (time, f_number) = (self.exposure_s?, self.f_number?);
         let ev = (time * self.iso? / (100.0 * f_number * f_number)).log2();
@@ -32,7 +32,7 @@ impl ExifData {
     }
 }
 
-/// What a JPEG, PNG, WebP or TIFF notes; nothing where there is nothing, or nothing that can be read.
+/// The EXIF data of a JPEG, PNG, WebP or TIFF; empty if absent or unreadable.
 pub fn read(bytes: &[u8]) -> ExifData {
     let Ok(exif) = Reader::new().read_from_container(&mut Cursor::new(bytes)) else {
         return ExifData::default();
@@ -74,7 +74,8 @@ mod tests {
     /// Tag, type, count, value.
     type Entry = (u16, u16, u32, Vec<u8>);
 
-    /// A directory of a little-endian TIFF structure at position `at`, with the values that do not fit its entries.
+    /// A directory of a little-endian TIFF structure at position `at`, followed by the values that do not fit its
+    /// entries.
     fn directory(at: usize, entries: &[Entry]) -> Vec<u8> {
         let mut out = (entries.len() as u16).to_le_bytes().to_vec();
         let data_at = at + 2 + entries.len() * 12 + 4;
@@ -94,7 +95,7 @@ mod tests {
         out
     }
 
-    /// A JPEG without pixels: entries of the picture, and of the camera.
+    /// A JPEG without pixels, with entries of the picture and of the camera.
     fn jpeg(picture: &[Entry], camera: &[Entry]) -> Vec<u8> {
         const START: usize = 8;
         let with_pointer = |at: usize| {
@@ -138,7 +139,7 @@ mod tests {
             assert!(cut == ExifData::default() || cut == read(&whole), "{length}: {cut:?}");
         }
         assert_eq!(read(&whole[..20]), ExifData::default());
-        assert_eq!(read(&jpeg(&[(0x0112, 3, 1, vec![9, 0])], &[])).orientation, None, "no turn");
-        assert_eq!(read(&jpeg(&[], &[(0x829a, 5, 1, rational(1, 0))])).exposure_s, None, "no number");
+        assert_eq!(read(&jpeg(&[(0x0112, 3, 1, vec![9, 0])], &[])).orientation, None, "not an orientation");
+        assert_eq!(read(&jpeg(&[], &[(0x829a, 5, 1, rational(1, 0))])).exposure_s, None, "not a number");
     }
 }

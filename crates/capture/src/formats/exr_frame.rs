@@ -1,8 +1,8 @@
 //! Rendered frames as multi-part OpenEXR: colours in one part, measurements in another.
 //!
-//! Colour parts name their colour space by the string attribute `colorInteropID`. Chromaticities are written where they are not those
-//! of Rec.709, which a reader takes a file without them for. Measurements live in a part tagged `data`, so that no tool applies colour management to a normal (ASWF Color Interop
-//! Forum, July 2026).
+//! Colour parts name their colour space in the string attribute `colorInteropID`. Chromaticities are written unless
+//! they are those of Rec.709, which a reader assumes by default. Measurements are in a part tagged `data`, so that no
+//! tool applies colour management to a normal (ASWF Color Interop Forum, July 2026).
 
 use std::io::Cursor;
 
@@ -18,7 +18,7 @@ use relume_spec::rendering::ColourDepth;
 use crate::formats::{ImageFileError, exr_header};
 use relume_spec::rendering::Primaries;
 
-/// Interleaved values that become channels `name.SUFFIX`, or bare suffixes when the name is empty.
+/// Interleaved values that become the channels `name.SUFFIX`, or bare suffixes if the name is empty.
 #[derive(Debug, Clone, Copy)]
 pub struct FrameLayer<'a> {
     /// E.g. `albedo`, `N`; empty for the main image (`R G B A`) and for depth (`Z`).
@@ -29,7 +29,7 @@ pub struct FrameLayer<'a> {
     pub values: &'a [f32],
 }
 
-/// A frame to be written.
+/// A frame to write.
 #[derive(Debug, Clone, Copy)]
 pub struct FrameLayers<'a> {
     /// Width in pixels.
@@ -38,15 +38,15 @@ pub struct FrameLayers<'a> {
     pub height: u32,
     /// Linear, scene-referred, in `primaries`: part `beauty`.
     pub colour: &'a [FrameLayer<'a>],
-    /// Those of `colour`, named by its `colorInteropID`.
+    /// Primaries of `colour`, written as its `colorInteropID`.
     pub primaries: Primaries,
     /// Measurements: part `data`, `colorInteropID = data`, always f32.
     pub data: &'a [FrameLayer<'a>],
-    /// How it was made.
+    /// Attributes of every part.
     pub attributes: &'a FrameAttributes,
 }
 
-/// What every part of the file says beside its pixels.
+/// Attributes that every part of the file has.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FrameAttributes {
     /// Text attributes by name.
@@ -57,12 +57,12 @@ pub struct FrameAttributes {
     pub frames_per_second: Option<u32>,
 }
 
-/// A camera, as the standard attributes of OpenEXR have it.
+/// A camera as standard OpenEXR attributes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExrLens {
-    /// `worldToCamera`: row vectors are multiplied with it.
+    /// `worldToCamera`, which multiplies row vectors from the right.
     pub world_to_camera: [f32; 16],
-    /// `screenWindowWidth`: of the picture on a screen at distance 1.
+    /// `screenWindowWidth`: width of the image on a screen at distance 1.
     pub window_width: f32,
     /// `screenWindowCenter`, y up.
     pub window_centre: [f32; 2],
@@ -72,20 +72,19 @@ pub struct ExrLens {
 
 const HALF_MAX: f32 = 65_504.0;
 
-/// The bytes of a ZIP-compressed multi-part file; a part without layers is left out. Beside them memory is taken for a few lines
-/// at a time.
+/// The bytes of a ZIP-compressed multi-part file. A part without layers is left out. Besides the file, memory is
+/// taken for a few lines at a time.
 ///
 /// # Errors
-/// [`ImageFileError::Encode`] names the layer that does not fill the frame, or says that there is nothing to
-/// write.
+/// [`ImageFileError::Encode`] names the layer that does not fill the frame, or says that the frame has no layers.
 pub fn encode(frame: &FrameLayers<'_>, depth: ColourDepth) -> Result<Vec<u8>, ImageFileError> {
     encode_while(frame, depth, &|| true)
 }
 
-/// The same; ends early once `is_wanted` says no.
+/// As [`encode`]; stops early once `is_wanted` returns false.
 ///
 /// # Errors
-/// As [`encode`], and when the file is not wanted any more.
+/// As [`encode`], and if `is_wanted` returned false.
 pub fn encode_while(
     frame: &FrameLayers<'_>,
     depth: ColourDepth,
@@ -108,7 +107,7 @@ pub fn encode_while(
         writer.on_progress(|_| ()).compress_all_blocks_parallel(&meta, blocks.take_while(|_| is_wanted()))
     });
     if !is_wanted() {
-        return Err(ImageFileError::Encode("the file is not wanted any more".to_owned()));
+        return Err(ImageFileError::Encode("encoding was cancelled".to_owned()));
     }
     written.map_err(|e| ImageFileError::Encode(e.to_string()))?;
     let mut file = out.into_inner();
@@ -116,14 +115,14 @@ pub fn encode_while(
     Ok(file)
 }
 
-/// A part of the file, and where its pixels are.
+/// A part of the file with the source of its pixels.
 struct ExrPart<'a> {
     header: Header,
-    /// In the order of the header's channels.
+    /// Sorted as the header's channels.
     channels: Vec<ExrChannel<'a>>,
 }
 
-/// One channel: every `step`th of `values`.
+/// One channel: every `step`th value of `values` from `first` on.
 struct ExrChannel<'a> {
     name: Text,
     values: &'a [f32],
@@ -150,7 +149,7 @@ impl ExrPart<'_> {
             let ExrChannel { values, first, step, depth, .. } = self.channels[line.location.channel];
             let start = line.location.position.y() * width + line.location.position.x();
             let value = |x: usize| values[first + (start + x) * step];
-            // A line in memory has room for what is written to it.
+            // Writing to a line in memory cannot fail.
             let _ = match depth {
                 ColourDepth::Half => {
                     line.write_samples(|x| f16::from_f32(value(x).clamp(-HALF_MAX, HALF_MAX)))
@@ -184,7 +183,7 @@ fn part<'a>(
             channels.push(ExrChannel { name, values: layer.values, first, step, depth });
         }
     }
-    // The order that the format asks for.
+    // The channel order that the format requires.
     channels.sort_by(|a, b| a.name.cmp(&b.name));
     let descriptions = channels.iter().map(ExrChannel::description).collect();
     let header = Header::new(text(name)?, size(frame), descriptions)
@@ -320,7 +319,7 @@ mod tests {
 
     #[test]
     fn equal_frames_give_equal_bytes() {
-        // The order of a hash map would differ between two of them.
+        // The order of a hash map would differ between two files.
         assert_eq!(example(ColourDepth::Half), example(ColourDepth::Half));
         assert_ne!(example(ColourDepth::Half), example(ColourDepth::Full), "the control");
     }
@@ -373,13 +372,9 @@ mod tests {
             asked.get() <= 2
         };
         assert!(
-            encode_while(&frame, ColourDepth::Full, &twice).unwrap_err().to_string().contains("not wanted")
+            encode_while(&frame, ColourDepth::Full, &twice).unwrap_err().to_string().contains("cancelled")
         );
-        assert_eq!(
-            asked.get(),
-            4,
-            "two blocks of four, the third that was not made, and what is said in the end"
-        );
+        assert_eq!(asked.get(), 4, "once per encoded block, at the third block and at the end");
         assert!(encode(&frame, ColourDepth::Full).is_ok(), "the control");
     }
 }

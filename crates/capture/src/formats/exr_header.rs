@@ -1,11 +1,11 @@
-//! The order of attributes in the headers of an OpenEXR file.
+//! Order of the attributes in the headers of an OpenEXR file.
 
-/// Puts the attributes of each header in the order of their names: the `exr` crate writes them in the order of a hash map, which
-/// differs from run to run. Nothing moves but attributes within their header. Bytes that are no OpenEXR file are left as they are.
+/// Sorts the attributes of each header by name. The `exr` crate writes them in the order of a hash map, which differs
+/// from run to run. Only attributes move, within their header. Bytes that are not an OpenEXR file stay unchanged.
 pub(super) fn sort_attributes(file: &mut [u8]) {
     /// Magic number and version.
     const START: usize = 8;
-    /// The bit of the version that stands for several parts, each with a header.
+    /// Bit of the version for several parts, each with a header.
     const MULTI_PART: u8 = 0x10;
     let Some(&flags) = file.get(5) else { return };
     let mut at = START;
@@ -24,7 +24,7 @@ pub(super) fn sort_attributes(file: &mut [u8]) {
     }
 }
 
-/// Start and end of each attribute of the header at `at`; `None` where it is cut short.
+/// Start and end of each attribute of the header at `at`; `None` if the header is truncated.
 fn attributes(file: &[u8], mut at: usize) -> Option<Vec<(usize, usize)>> {
     let mut found = Vec::new();
     while *file.get(at)? != 0 {
@@ -39,7 +39,7 @@ fn attributes(file: &[u8], mut at: usize) -> Option<Vec<(usize, usize)>> {
     Some(found)
 }
 
-/// The position after the text with a zero at its end.
+/// The position after the zero-terminated text at `at`.
 fn after_text(file: &[u8], at: usize) -> Option<usize> {
     Some(at + file.get(at..)?.iter().position(|byte| *byte == 0)? + 1)
 }

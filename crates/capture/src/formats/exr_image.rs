@@ -7,7 +7,7 @@ use exr::prelude::{AnyChannels, FlatSamples, Layer, MetaData, ReadChannels, Read
 
 use crate::formats::ImageFileError;
 
-/// Decoded bytes of one file at most, all parts and channels together.
+/// Greatest number of decoded bytes of one file, all parts and channels together.
 const MAX_DECODED_BYTES: u64 = 4 << 30;
 
 /// True when the bytes begin like an OpenEXR file.
@@ -18,11 +18,11 @@ pub fn is_exr(bytes: &[u8]) -> bool {
 /// Width and height of the first part, from the header.
 ///
 /// # Errors
-/// [`ImageFileError::Damaged`] when the header cannot be read or names data that this reader does not support.
+/// [`ImageFileError::Damaged`] if the header cannot be read or names data that this reader does not support.
 pub fn dimensions(bytes: &[u8]) -> Result<(u32, u32), ImageFileError> {
     let meta = checked_header(bytes)?;
     let Some(first) = meta.headers.first() else {
-        return Err(ImageFileError::Damaged("it has no part".to_owned()));
+        return Err(ImageFileError::Damaged("it has no parts".to_owned()));
     };
     let side = |n: usize| u32::try_from(n).map_err(|_| ImageFileError::Damaged("is too large".into()));
     Ok((side(first.layer_size.x())?, side(first.layer_size.y())?))
@@ -41,7 +41,7 @@ fn part_bytes(header: &Header) -> u64 {
     pixels.saturating_mul(4 * header.channels.list.len() as u64)
 }
 
-/// The header, of what this reader supports and within its bounds.
+/// The header, after checking that this reader supports it and that its size is within bounds.
 fn checked_header(bytes: &[u8]) -> Result<MetaData, ImageFileError> {
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
     let refuse = |reason: &str| Err(ImageFileError::Damaged(reason.to_owned()));
@@ -85,7 +85,7 @@ pub fn decode_rgba(bytes: &[u8]) -> Result<(u32, u32, Vec<[f32; 4]>), ImageFileE
     Ok((layer.size.x() as u32, layer.size.y() as u32, pixels))
 }
 
-/// Red, green, blue (always present) and alpha (perhaps not) of a part.
+/// Red, green, blue (always present) and alpha (optional) of a part.
 fn colour_channels(layer: &Layer<AnyChannels<FlatSamples>>) -> Option<[Option<&FlatSamples>; 4]> {
     let named = |name: &str| layer.channel_data.list.iter().find(|c| c.name.eq(name)).map(|c| &c.sample_data);
     let alpha = named("A");

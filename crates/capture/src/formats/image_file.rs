@@ -1,4 +1,4 @@
-//! Photographs: PNG, JPEG, WebP, TIFF and EXR bytes to pixels, and pixels to PNG and JPEG.
+//! Image files: decodes PNG, JPEG, WebP, TIFF and EXR, encodes PNG and JPEG.
 //!
 //! The format is detected from the content, never from a file's name.
 
@@ -14,10 +14,10 @@ use crate::formats::{ImageFileError, exr_image};
 use relume_scene::srgb;
 use relume_scene::{BitDepth, ImageRgba};
 
-/// Most pixels of one image unless a caller says otherwise.
+/// Default limit on the pixels of one image.
 pub const DEFAULT_MAX_PIXELS: u64 = 134_000_000;
 
-/// Width and height from the header, nothing decoded.
+/// Width and height from the header, without decoding.
 ///
 /// # Errors
 /// [`ImageFileError`] when the kind is unknown or the header unreadable.
@@ -25,7 +25,7 @@ pub fn dimensions(bytes: &[u8]) -> Result<(u32, u32), ImageFileError> {
     if exr_image::is_exr(bytes) {
         return exr_image::dimensions(bytes);
     }
-    // The PNG reader needs pixel data before it returns a size, which is in the header.
+    // The PNG reader requires pixel data before it returns the size, so the size is read from the header directly.
     if let (true, Some(&[a, b, c, d, e, f, g, h])) = (is_png(bytes), bytes.get(16..24)) {
         return Ok((u32::from_be_bytes([a, b, c, d]), u32::from_be_bytes([e, f, g, h])));
     }
@@ -33,7 +33,7 @@ pub fn dimensions(bytes: &[u8]) -> Result<(u32, u32), ImageFileError> {
     reader.into_dimensions().map_err(damaged)
 }
 
-/// Which depth holds what an image file has, from its header: 8 bits for files of 8 bits a channel, 16 for all others.
+/// The least bit depth that holds the values of an image file, from its header: 8 for 8 bits a channel, else 16.
 ///
 /// # Errors
 /// As [`dimensions`].
@@ -48,8 +48,8 @@ pub fn bit_depth(bytes: &[u8]) -> Result<BitDepth, ImageFileError> {
     Ok(if is_eight { BitDepth::Eight } else { BitDepth::Sixteen })
 }
 
-/// A photograph as display-referred RGBA with straight alpha. EXR and TIFF of floats hold linear light, which is encoded with
-/// the sRGB curve and clamped; everything else is taken as sRGB. Images without alpha are opaque.
+/// A photograph as display-referred RGBA with straight alpha. EXR and float TIFF contain linear light, which is
+/// encoded with the sRGB curve and clamped; all other files are taken as sRGB. Images without alpha are opaque.
 ///
 /// # Errors
 /// [`ImageFileError`]; more than `max_pixels` is refused before anything is decoded.
@@ -57,8 +57,8 @@ pub fn decode(bytes: &[u8], max_pixels: u64) -> Result<ImageRgba, ImageFileError
     Ok(decode_reduced(bytes, max_pixels, |stored| stored)?.0)
 }
 
-/// [`decode`], reduced to the size that `reduce` gives for the stored one, which is returned as well. Beside the file's own
-/// pixels, as it has them, it needs memory for the reduced ones only.
+/// [`decode`], reduced to the size that `reduce` gives for the stored size, which is also returned. Besides the
+/// file's decoded pixels in their own type it takes memory only for the reduced image.
 ///
 /// # Errors
 /// As [`decode`].
@@ -79,7 +79,7 @@ pub fn decode_reduced(
     Ok((reduced(&image, stored, reduce(stored)), stored))
 }
 
-/// `image` at another size.
+/// `image` resized from `stored` to `size`.
 fn reduced(image: &DynamicImage, stored: (u32, u32), size: (u32, u32)) -> ImageRgba {
     use DynamicImage as D;
     fn unit8(v: u8) -> f32 {
@@ -117,13 +117,14 @@ fn reduced(image: &DynamicImage, stored: (u32, u32), size: (u32, u32)) -> ImageR
     }
 }
 
-/// Linear light as it is displayed; NaN becomes 0.
+/// Linear light encoded for display; NaN becomes 0.
 fn displayed([r, g, b, a]: [f32; 4]) -> [f32; 4] {
     let alpha = if a > 0.0 { a.min(1.0) } else { 0.0 };
     [srgb::encode(r), srgb::encode(g), srgb::encode(b), alpha]
 }
 
-/// EXR colour is premultiplied by convention. Alpha above 1 becomes 1; negative alpha and NaN become 0.
+/// Straight alpha from premultiplied, which EXR uses by convention. Alpha above 1 becomes 1; negative alpha and NaN
+/// become 0.
 fn straightened([r, g, b, a]: [f32; 4]) -> [f32; 4] {
     let a = if a > 0.0 { a.min(1.0) } else { 0.0 };
     let divisor = if a > 0.0 { a } else { 1.0 };
@@ -176,7 +177,7 @@ fn damaged(error: image::ImageError) -> ImageFileError {
 /// An 8-bit PNG of row-major pixels with C = 1 (grey), 3 (RGB) or 4 (RGBA, straight alpha) channels.
 ///
 /// # Errors
-/// [`ImageFileError::Encode`] when the pixels do not fit the size or the channel count is another.
+/// [`ImageFileError::Encode`] if the pixels do not match the size, or for another number of channels.
 pub fn encode_png<const C: usize>(
     width: u32,
     height: u32,
@@ -230,7 +231,8 @@ pub fn encode_jpeg(
 ) -> Result<Vec<u8>, ImageFileError> {
     check_length(width, height, pixels.len())?;
     let side = |side: u32| {
-        u16::try_from(side).map_err(|_| ImageFileError::Encode(format!("{side} pixels are too many")))
+        u16::try_from(side)
+            .map_err(|_| ImageFileError::Encode(format!("{side} pixels are more than a JPEG can have")))
     };
     let (width, height) = (side(width)?, side(height)?);
     let mut out = Vec::new();
@@ -354,7 +356,7 @@ mod tests {
         assert_eq!((stored, (reduced.width, reduced.height)), ((4, 3), (2, 2)));
         let whole = decode(&encode_rgba(&image).unwrap(), 12).unwrap();
         assert_eq!(reduced, whole.resized(2, 2));
-        assert_ne!(reduced.pixels, whole.pixels[..4], "the control: not the pixels as they are");
+        assert_ne!(reduced.pixels, whole.pixels[..4], "the control: not the unreduced pixels");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Bytes to plain data and back.
+//! File formats: conversion between bytes and plain data.
 
 pub mod environment;
 mod error;

@@ -11,24 +11,24 @@ use relume_scene::{
     SplitLight,
 };
 
-/// The header version that is written. Versions 1 to 4 are read.
+/// The header version that this build writes. It reads versions 1 to 4.
 const VERSION: u32 = 4;
-/// Models without sheen; read without changes.
+/// Version of models without sheen; read unchanged.
 const WITHOUT_SHEEN: u32 = 3;
-/// Models trained with only the diffuse term shaded at the Gaussians. Both terms are shaded there.
+/// Version of models trained with only the diffuse term shaded at the Gaussians; this build shades both terms there.
 const DIFFUSE_AT_GAUSSIANS: u32 = 2;
-/// Models shaded in the pixel, whose header does not name it.
+/// Version of models shaded per pixel, whose header does not state it.
 const ALL_DEFERRED: u32 = 1;
 const HEADER_KEY: &str = "relume";
-/// Tensor of the lights taken out of the environment: direction and angular radius.
+/// Tensor of the lights split off the environment: direction and angular radius.
 const LIGHTS_KEY: &str = "lights";
-/// Tensor of the share of each texel that belongs to each of them.
+/// Tensor of the share of each texel that belongs to each light.
 const SHARES_KEY: &str = "light_shares";
 
-/// Why a model file was refused.
+/// Errors of reading and writing model files.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelFileError {
-    /// Not a safetensors file, or cut short.
+    /// The file is not a safetensors file, or is truncated.
     #[error("model file: {0}")]
     Container(#[from] safetensors::SafeTensorError),
     /// A header field or tensor is missing or wrong.
@@ -50,13 +50,13 @@ struct ModelHeader {
     radiance_order: usize,
     env_width: usize,
     env_height: usize,
-    /// Lights taken out of the environment; absent for none.
+    /// Number of lights split off the environment; absent for 0.
     #[serde(default, skip_serializing_if = "is_none")]
     lights: usize,
     shading: ShadingOptions,
     world_scale: f64,
     world_offset: [f64; 3],
-    /// Absent where masks cut the subject out, and in files from before it was written.
+    /// Absent for captures with masks, and in files of older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     framing: Option<Framing>,
     card: serde_json::Value,
@@ -66,7 +66,7 @@ fn is_none(lights: &usize) -> bool {
     *lights == 0
 }
 
-/// A view of an f32 tensor that safetensors can serialise.
+/// An f32 tensor that safetensors can serialise.
 pub struct Tensor<'a> {
     shape: Vec<usize>,
     data: Cow<'a, [f32]>,
@@ -139,7 +139,7 @@ pub fn floats_a_gaussian(model: &Model) -> usize {
     stored.map(|f| model.gaussians.width(*f)).sum()
 }
 
-/// True when a model file contains a field; fields that the model does not use are left out.
+/// True when a model file contains a field; unused fields are left out.
 fn is_stored(field: Field, model: &Model) -> bool {
     match field {
         Field::Indirect => model.shading.indirect == IndirectForm::Learned,
@@ -151,7 +151,7 @@ fn is_stored(field: Field, model: &Model) -> bool {
 /// A model as the bytes of one file.
 ///
 /// # Errors
-/// Only when the container library refuses a tensor, which a checked model does not cause.
+/// If the container library refuses a tensor, which does not happen for a checked model.
 pub fn encode(model: &Model) -> Result<Vec<u8>, ModelFileError> {
     let metadata = HashMap::from([(HEADER_KEY.to_owned(), header(model))]);
     let mut tensors = tensors(model);
@@ -175,19 +175,19 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
         VERSION | WITHOUT_SHEEN | DIFFUSE_AT_GAUSSIANS => {}
         ALL_DEFERRED => header.shading.shade_at = ShadeAt::Pixel,
         other => {
-            return Err(bad("version", format!("is {other}, this build reads {ALL_DEFERRED} to {VERSION}")));
+            return Err(bad("version", format!("is {other}; this build reads {ALL_DEFERRED} to {VERSION}")));
         }
     }
     let file = SafeTensors::deserialize(bytes)?;
     if header.visibility_order > 8 || header.radiance_order > 4 {
-        return Err(bad("visibility_order,radiance_order", "are beyond 8 and 4".into()));
+        return Err(bad("visibility_order,radiance_order", "must be at most 8 and 4".into()));
     }
     // Sizes are checked against the file's length before memory is allocated for them.
     if header.gaussians.saturating_mul(3 * 4) > bytes.len() {
-        return Err(bad("gaussians", "names more than the file holds".into()));
+        return Err(bad("gaussians", "states more Gaussians than the file contains".into()));
     }
     if header.prototypes > 4096 {
-        return Err(bad("prototypes", "are more than 4096".into()));
+        return Err(bad("prototypes", "must be at most 4096".into()));
     }
     let mut gaussians = Gaussians::zeroed(
         header.gaussians,
@@ -225,7 +225,7 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
     Ok(model)
 }
 
-/// The lights of an environment of `texels` texels.
+/// Reads the lights split off an environment of `texels` texels.
 fn split(file: &SafeTensors<'_>, lights: usize, texels: usize) -> Result<LightSplit, ModelFileError> {
     if lights == 0 {
         return Ok(LightSplit::default());
@@ -297,7 +297,7 @@ mod tests {
         assert!(bytes.len() + model.gaussians.len() * 16 * 4 <= whole);
         model.gaussians.field_mut(Field::Indirect).fill(0.0);
         assert_eq!(decode(&bytes).unwrap(), model);
-        // The control: a file that needs them and lacks them is refused.
+        // The control: decoding refuses a file that requires the weights but lacks them.
         model.shading.indirect = IndirectForm::Learned;
         let metadata = HashMap::from([(HEADER_KEY.to_owned(), header(&model))]);
         let mut without = tensors(&model);
@@ -342,7 +342,10 @@ mod tests {
         let mut model = example();
         model.gaussians.field_mut(Field::Indirect).fill(0.0);
         let without = encode(&model).unwrap();
-        assert!(!String::from_utf8_lossy(&without).contains("lights"), "files without are as they were");
+        assert!(
+            !String::from_utf8_lossy(&without).contains("lights"),
+            "files without lights have no such tensors"
+        );
         let light = SplitLight { direction: [0.0, 0.6, 0.8], radius: 0.01 };
         model.lights = LightSplit { lights: vec![light; 2], shares: vec![[0.5, 0.25, 0.0, 0.0]; 8] };
         assert_eq!(decode(&encode(&model).unwrap()).unwrap(), model);

@@ -1,5 +1,5 @@
-//! Models from PLY: our own files, whose columns are recognised with or without their comments, and ordinary files of splats,
-//! which have colour but no materials.
+//! Imports models from PLY: Relume's own files, whose columns are recognised with or without their comments, and
+//! ordinary splat files, which have colour but no materials.
 
 use glam::{DVec3, Quat, Vec3};
 use serde_json::json;
@@ -14,17 +14,18 @@ use relume_scene::{
     softplus_inverse,
 };
 
-/// Highest SH degree of a visibility field that is read.
+/// Highest supported SH degree of a visibility field.
 const MAX_VISIBILITY_DEGREE: usize = 8;
-/// Size of the light of a model whose file has none: even, and white.
+/// Size of the environment of an imported model, which is uniform and white.
 const LIGHT_SIZE: (usize, usize) = (16, 8);
-/// Share of the Gaussians that the unit ball of the world shall hold where a file does not say what it holds.
+/// Share of the Gaussians that the unit ball of the world contains, for files that do not state the scale of the
+/// world.
 const HELD: f64 = 0.98;
-/// Farthest from 0 of a logit, so that 0 and 1 have one.
+/// Least distance of a probability from 0 and 1 before its logit is taken.
 const MIN_PROBABILITY: f32 = 1e-7;
 
-/// Reads a model. Files hold no light: that of the model is white and even. A file without the columns of materials gives a
-/// model of colour alone ([`Model::has_materials`] is false).
+/// Reads a model. PLY files contain no light: the environment of the model is white and uniform. A file without
+/// material columns gives a model with colour only ([`Model::has_materials`] is false).
 ///
 /// # Errors
 /// Names the property or vertex that is missing or wrong.
@@ -75,7 +76,8 @@ pub fn decode(bytes: &[u8]) -> Result<Model, PlyError> {
     Ok(model)
 }
 
-/// What the comments say of how a model is shaded and where it lies; where they say nothing, it lies where the Gaussians are.
+/// Reads shading options and world transform from the comments. Without them, the transform follows from the
+/// Gaussians.
 fn read_metadata(table: &PlyTable, model: &mut Model) -> Result<(), PlyError> {
     if table.comments.iter().any(|line| line.ends_with("SplatRenderMode: default")) {
         model.shading.low_pass_compensation = false;
@@ -97,7 +99,7 @@ fn read_metadata(table: &PlyTable, model: &mut Model) -> Result<(), PlyError> {
     Ok(())
 }
 
-/// Scale and offset of a world around Gaussians: about the median of their centres.
+/// Scale and offset of a world around the Gaussians, centred on the median of their centres.
 fn around(gaussians: &Gaussians) -> (f64, DVec3) {
     let centres = || gaussians.field(Field::Mean).as_chunks::<3>().0.iter();
     let at_share = |mut values: Vec<f64>, share: f64| {
@@ -111,7 +113,7 @@ fn around(gaussians: &Gaussians) -> (f64, DVec3) {
     (1.0 / radius.unwrap_or(1.0), -centre)
 }
 
-/// Brings what was read in capture units into the world of `model`.
+/// Converts the Gaussians from capture units to the world of `model`.
 fn into_world(model: &mut Model) {
     let (scale, offset) = (model.world_scale, model.world_offset);
     for centre in model.gaussians.field_mut(Field::Mean).as_chunks_mut::<3>().0 {
@@ -121,7 +123,7 @@ fn into_world(model: &mut Model) {
     model.gaussians.field_mut(Field::LogScale).iter_mut().for_each(|s| *s += grow);
 }
 
-/// Sets the field that gives shading normal `unit`, seen from outside.
+/// Sets the normal field so that the shading normal, seen from outside, is `unit`.
 fn set_normal(model: &mut Model, i: usize, unit: [f32; 3]) {
     let unit = Vec3::from(unit).normalize_or_zero();
     let own = match model.shading.normal {
@@ -136,20 +138,20 @@ fn pick<const N: usize>(row: &[f64], columns: [usize; N]) -> [f32; N] {
     columns.map(|c| row[c] as f32)
 }
 
-/// `logit(share)`, of a share within 0 and 1.
+/// `logit(share)` for a share in [0, 1].
 fn logit(share: f64) -> f32 {
     let share = (share as f32).clamp(MIN_PROBABILITY, 1.0 - MIN_PROBABILITY);
     (share / (1.0 - share)).ln()
 }
 
-/// Where the numbers of a splat stand in a row.
+/// Columns of the values of a splat.
 struct SplatColumns {
     position: [usize; 3],
     scale: [usize; 3],
     rotation: [usize; 4],
     opacity: usize,
     degree: usize,
-    /// `(degree + 1)^2` triples, coefficient by coefficient.
+    /// `(degree + 1)^2` RGB triples, one per coefficient.
     harmonics: Vec<[usize; 3]>,
     normal: Option<[usize; 3]>,
     material: Option<MaterialColumns>,
@@ -171,7 +173,10 @@ impl SplatColumns {
         let degree =
             (0..=MAX_SPLAT_SH_DEGREE).find(|l| sh_count(*l) == bases && rest.len().is_multiple_of(3));
         let Some(degree) = degree else {
-            return bad("property f_rest_*", format!("{} of them are no SH of degree 0 to 3", rest.len()));
+            return bad(
+                "property f_rest_*",
+                format!("{} coefficients match no SH degree from 0 to 3", rest.len()),
+            );
         };
         let first = named(table, ["f_dc_0", "f_dc_1", "f_dc_2"])?;
         let later = (1..bases).map(|j| std::array::from_fn(|c| rest[c * (bases - 1) + j - 1]));
@@ -201,21 +206,24 @@ impl SplatColumns {
 }
 
 impl MaterialColumns {
-    /// None where a file has no albedo.
+    /// `None` for a file without albedo.
     fn of(table: &PlyTable) -> Result<Option<Self>, PlyError> {
         let Ok(albedo) = named(table, ["albedo_0", "albedo_1", "albedo_2"]) else { return Ok(None) };
         let [metallic, roughness] = named(table, ["metallic", "roughness"])?;
         let visibility = numbered(table, "visibility");
         let sh_degree = (0..=MAX_VISIBILITY_DEGREE).find(|l| sh_count(*l) == visibility.len().max(1));
         let Some(visibility_degree) = sh_degree else {
-            return bad("property visibility_*", format!("{} of them are no SH", visibility.len()));
+            return bad(
+                "property visibility_*",
+                format!("{} coefficients match no SH degree", visibility.len()),
+            );
         };
         let sheen = table.column("sheen");
         Ok(Some(Self { albedo, metallic, roughness, visibility, visibility_degree, sheen }))
     }
 
     fn read(&self, row: &[f64], i: usize, out: &mut Gaussians) {
-        // One black prototype: the residual is the albedo.
+        // The only prototype is black, so the residual is the albedo.
         out.row_mut(Field::Residual, i).copy_from_slice(&pick(row, self.albedo));
         out.row_mut(Field::MetalLogit, i)[0] = logit(row[self.metallic]);
         out.row_mut(Field::RoughLogit, i)[0] = logit(row[self.roughness]);
@@ -230,13 +238,13 @@ fn named<const N: usize>(table: &PlyTable, names: [&str; N]) -> Result<[usize; N
     for (o, name) in out.iter_mut().zip(names) {
         match table.column(name) {
             Some(column) => *o = column,
-            None => return bad(format!("property {name}"), "is missing: this is no file of splats"),
+            None => return bad(format!("property {name}"), "is missing: this is not a splat file"),
         }
     }
     Ok(out)
 }
 
-/// Columns `stem_0`, `stem_1`, ... as far as they go.
+/// Columns `stem_0`, `stem_1`, ... up to the first that is missing.
 fn numbered(table: &PlyTable, stem: &str) -> Vec<usize> {
     (0..).map_while(|k| table.column(&format!("{stem}_{k}"))).collect()
 }
@@ -300,7 +308,7 @@ mod tests {
         assert_eq!(g.row(Field::Radiance, 1)[..12], *model.gaussians.row(Field::Radiance, 1));
         let bare = decode(&without_comments(&bytes)).unwrap();
         assert!(same(&model, &bare) && bare.has_materials());
-        assert_eq!(bare.shading.occluder_reach, None, "the control: that was in a comment");
+        assert_eq!(bare.shading.occluder_reach, None, "the control: only a comment states it");
         let mut other = model.clone();
         other.gaussians.row_mut(Field::RoughLogit, 0)[0] = 0.1;
         assert!(!same(&other, &back), "the control");
@@ -314,7 +322,7 @@ mod tests {
         assert!(!back.has_materials());
         assert_eq!(back.shading.visibility, VisibilityForm::Off);
         assert!(near(&back.gaussians.row(Field::Radiance, 1)[..3], &plain.harmonics[1]));
-        assert_eq!(back.gaussians.radiance_degree(), 3, "as viewers expect it");
+        assert_eq!(back.gaussians.radiance_degree(), 3, "the degree that viewers expect");
     }
 
     #[test]

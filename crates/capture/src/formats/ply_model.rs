@@ -1,12 +1,13 @@
 //! Models as PLY: the properties that splat viewers read, followed by the materials for relighting.
 //!
-//! The first properties are those of the 3D Gaussian Splatting authors' own files: position, normal, radiance SH
+//! The first properties are those of the original 3D Gaussian Splatting files: position, normal, radiance SH
 //! (`f_dc_*`, then `f_rest_*` channel by channel), opacity logit, log-scales, quaternion `w x y z`. After them,
-//! marked by `comment relight_schema 1`: `albedo_0..2` (linear Rec.709), `metallic`, `roughness`, all
-//! activated, `visibility_*` (SH coefficients, `l * l + l + m`) and, where the model has any, `sheen` (logarithm of
-//! the diffuse term's gain at grazing view; our own, other tools define theirs differently). All values are in capture coordinates.
-//! `comment SplatRenderMode: mip` or `default`, a convention of Brush and gsplat, tells a viewer whether the opacities
-//! need low-pass compensation. `comment relume {...}` says in JSON how the Gaussians are shaded (`PlyMetadata`).
+//! announced by `comment relight_schema 1`, follow `albedo_0..2` (linear Rec.709), `metallic`, `roughness`, all
+//! activated, `visibility_*` (SH coefficients, index `l * l + l + m`) and, if the model has any, `sheen` (logarithm
+//! of the diffuse term's gain at grazing view; specific to Relume, other tools define sheen differently). All values
+//! are in capture coordinates. `comment SplatRenderMode: mip` or `default`, a convention of Brush and gsplat, tells a
+//! viewer whether the opacities need low-pass compensation. `comment relume {...}` states in JSON how the Gaussians
+//! are shaded (`PlyMetadata`).
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -14,38 +15,38 @@ use serde::{Deserialize, Serialize};
 use crate::formats::splats::{MAX_SPLAT_SH_DEGREE, Splats};
 use relume_scene::{Field, Framing, Model, ShadingOptions, sh_count};
 
-/// Begins the comment that holds [`PlyMetadata`].
+/// Start of the comment that contains [`PlyMetadata`].
 pub(super) const METADATA_COMMENT: &str = "comment relume ";
 
-/// What a model is beside its Gaussians and its light.
+/// Properties of a model other than its Gaussians and its light.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct PlyMetadata {
     /// Capture to model: `x_model = scale * (x_capture + offset)`.
     pub world_scale: f64,
-    /// See `world_scale`; capture units.
+    /// Offset of the transform in `world_scale`, capture units.
     pub world_offset: DVec3,
-    /// The forward model.
+    /// The shading options of the forward model.
     pub shading: ShadingOptions,
-    /// How photographs without masks show the scene.
+    /// Default view for captures without masks.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub framing: Option<Framing>,
 }
 
-/// Which properties a file has.
+/// The set of properties of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlyProperties {
-    /// Those that viewers read.
+    /// The properties that viewers read.
     Ordinary,
-    /// The materials as well.
+    /// The properties that viewers read, and the materials.
     Relightable,
 }
 
-/// The bytes of a binary little-endian PLY file with all that it can have of a model.
+/// The bytes of a binary little-endian PLY file with the materials.
 pub fn encode(model: &Model) -> Vec<u8> {
     encode_splats(model, &Splats::of(model), PlyProperties::Relightable)
 }
 
-/// The same of `splats`, which were made of `model`, with the properties of `columns`.
+/// The bytes of a PLY file of `splats`, which were made from `model`, with the properties of `columns`.
 pub fn encode_splats(model: &Model, splats: &Splats, columns: PlyProperties) -> Vec<u8> {
     let fields = match columns {
         PlyProperties::Ordinary => &[][..],
@@ -93,7 +94,7 @@ fn header(model: &Model, count: usize, names: &[String], columns: PlyProperties)
     text + "end_header\n"
 }
 
-/// Properties of a file; after those of its columns come those of `fields`.
+/// Names of the properties of a file: those of `columns`, then those of `fields`.
 fn property_names(model: &Model, columns: PlyProperties, fields: &[Field]) -> Vec<String> {
     let numbered = |stem: &str, n: usize| (0..n).map(|i| format!("{stem}_{i}")).collect::<Vec<_>>();
     let plain = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
@@ -119,7 +120,7 @@ fn property_names(model: &Model, columns: PlyProperties, fields: &[Field]) -> Ve
     out
 }
 
-/// The properties every viewer reads; coefficients that the colour lacks are written as 0.
+/// Appends the properties that every viewer reads. Coefficients that the colour lacks are 0.
 fn splat(splats: &Splats, i: usize, row: &mut Vec<f32>) {
     row.extend(splats.positions[i].to_array());
     row.extend(splats.normals[i].to_array());
@@ -166,7 +167,7 @@ mod tests {
             names[..62],
             "an ordinary file ends there"
         );
-        assert!(!encode(&example()).windows(6).any(|w| w == b"sheen\n"), "there is none");
+        assert!(!encode(&example()).windows(6).any(|w| w == b"sheen\n"), "the model has no sheen");
         let mut cloth = example();
         cloth.gaussians.row_mut(Field::Sheen, 1)[0] = 0.5;
         assert_eq!(property(&encode(&cloth), "sheen"), 0.5);
@@ -179,7 +180,7 @@ mod tests {
         assert_eq!([get("x"), get("y"), get("z")], [0.5, -1.25, 0.125]);
         assert!((get("scale_1") - (-2.0 - 2f32.ln())).abs() < 1e-6);
         assert_eq!([get("rot_0"), get("rot_1"), get("opacity")], [1.0, 0.0, 1.5]);
-        assert_eq!([get("nx"), get("ny"), get("nz")], [0.0, 0.0, -1.0], "the field is open downwards");
+        assert_eq!([get("nx"), get("ny"), get("nz")], [0.0, 0.0, -1.0], "visibility is larger below");
     }
 
     #[test]

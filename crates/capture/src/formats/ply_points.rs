@@ -9,7 +9,7 @@ use relume_scene::srgb;
 /// A position and a linear Rec.709 colour; 0.5 in files without colours.
 pub type Point = (DVec3, [f32; 3]);
 
-/// Reads the vertices of a PLY file; colours are taken as sRGB.
+/// Reads the vertices of a PLY file. Colours are taken as sRGB.
 ///
 /// # Errors
 /// Names the header line or vertex at fault. More than `max_points`, or more than a binary file's length allows,
@@ -18,7 +18,7 @@ pub fn read_points(bytes: &[u8], max_points: usize) -> Result<Vec<Point>, PlyErr
     let table = PlyTable::read(bytes, max_points)?;
     let column = |name: &str| table.column(name);
     let (Some(x), Some(y), Some(z)) = (column("x"), column("y"), column("z")) else {
-        return bad("property", "x, y and z must be there");
+        return bad("property", "x, y and z are required");
     };
     let colour = match (column("red"), column("green"), column("blue")) {
         (Some(r), Some(g), Some(b)) => Some([r, g, b]),

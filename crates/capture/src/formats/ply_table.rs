@@ -1,6 +1,7 @@
-//! The vertices of PLY files as a table of numbers: ASCII and binary little-endian, no lists.
+//! Vertices of PLY files as a table of numbers. Supports ASCII and binary little-endian files without lists in
+//! vertices.
 
-/// Why a PLY file was refused.
+/// Errors of reading PLY files.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: {reason}")]
 pub struct PlyError {
@@ -20,11 +21,11 @@ const MAX_HEADER: usize = 1 << 16;
 /// A scalar type of PLY.
 #[derive(Clone, Copy)]
 struct Scalar {
-    /// Its two names.
+    /// The type's two names.
     names: [&'static str; 2],
     /// Bytes in a binary file.
     size: usize,
-    /// The value that means full brightness in a colour.
+    /// The value of full brightness in a colour.
     white: f64,
     /// The value in the first `size` bytes, little-endian.
     read: fn(&[u8]) -> Option<f64>,
@@ -55,9 +56,9 @@ const SCALARS: [Scalar; 8] = [
 /// The vertices of a file.
 pub(super) struct PlyTable {
     properties: Vec<(String, Scalar)>,
-    /// Lines of the header that begin with `comment `, whole.
+    /// Complete header lines that begin with `comment `.
     pub(super) comments: Vec<String>,
-    /// A number for every property, vertex by vertex.
+    /// Values of all properties, vertex by vertex.
     numbers: Vec<f64>,
 }
 
@@ -82,7 +83,7 @@ impl PlyTable {
         self.properties.iter().position(|(n, _)| n == name)
     }
 
-    /// What means full brightness in a colour of that column.
+    /// The value of full brightness in a colour of this column.
     pub(super) fn white(&self, column: usize) -> f64 {
         self.properties[column].1.white
     }
@@ -98,7 +99,7 @@ struct PlyHeader {
     vertices: usize,
     properties: Vec<(String, Scalar)>,
     comments: Vec<String>,
-    /// Bytes of the header, its last newline included.
+    /// Length of the header in bytes, including its last newline.
     length: usize,
 }
 
@@ -107,10 +108,10 @@ fn header(bytes: &[u8]) -> Result<PlyHeader, PlyError> {
     const END: &[u8] = b"end_header";
     let end = window.windows(END.len()).position(|w| w == END);
     let (true, Some(end)) = (bytes.starts_with(b"ply"), end) else {
-        return bad("header", "this is no PLY file");
+        return bad("header", "this is not a PLY file");
     };
     let newline = window[end..].iter().position(|&b| b == b'\n');
-    let Some(newline) = newline else { return bad("header", "is cut short") };
+    let Some(newline) = newline else { return bad("header", "is truncated") };
     let text = String::from_utf8_lossy(&window[..end]);
     let mut out = PlyHeader {
         binary: false,
@@ -134,7 +135,7 @@ fn header(bytes: &[u8]) -> Result<PlyHeader, PlyError> {
                 element = Some(name == "vertex");
                 if name == "vertex" {
                     let Ok(vertices) = count.parse() else {
-                        return bad("element vertex", format!("{count:?} is no count"));
+                        return bad("element vertex", format!("{count:?} is not a count"));
                     };
                     out.vertices = vertices;
                 }
@@ -145,7 +146,7 @@ fn header(bytes: &[u8]) -> Result<PlyHeader, PlyError> {
             ["property", kind, name] if element == Some(true) => {
                 match SCALARS.iter().find(|s| s.names.contains(&kind)) {
                     Some(scalar) => out.properties.push((name.to_owned(), *scalar)),
-                    None => return bad(format!("property {name}"), format!("{kind} is no type")),
+                    None => return bad(format!("property {name}"), format!("{kind} is not a PLY type")),
                 }
             }
             _ => {}
@@ -160,7 +161,7 @@ fn header(bytes: &[u8]) -> Result<PlyHeader, PlyError> {
 fn binary_rows(body: &[u8], header: &PlyHeader) -> Result<Vec<f64>, PlyError> {
     let stride: usize = header.properties.iter().map(|(_, s)| s.size).sum();
     if header.vertices.checked_mul(stride).is_none_or(|need| need > body.len()) {
-        return bad("element vertex", format!("{} points are more than the file holds", header.vertices));
+        return bad("element vertex", format!("{} points are more than the file contains", header.vertices));
     }
     let mut out = Vec::with_capacity(header.vertices * header.properties.len());
     for row in body.chunks_exact(stride).take(header.vertices) {
@@ -174,7 +175,7 @@ fn binary_rows(body: &[u8], header: &PlyHeader) -> Result<Vec<f64>, PlyError> {
 }
 
 fn ascii_rows(body: &[u8], header: &PlyHeader) -> Result<Vec<f64>, PlyError> {
-    let Ok(text) = std::str::from_utf8(body) else { return bad("body", "is not text") };
+    let Ok(text) = std::str::from_utf8(body) else { return bad("body", "is not UTF-8 text") };
     let mut out = Vec::new();
     let mut lines = text.lines().filter(|l| !l.trim().is_empty());
     for i in 0..header.vertices {

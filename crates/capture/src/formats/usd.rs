@@ -1,5 +1,5 @@
-//! Splats as OpenUSD, of the schema `ParticleField3DGaussianSplat` (OpenUSD 26.03). Materials go along as primvars with the
-//! names of `UsdPreviewSurface`'s inputs. As text, or as a package with the text in it.
+//! Splats as OpenUSD with the schema `ParticleField3DGaussianSplat` (OpenUSD 26.03). Materials are stored as primvars
+//! named after the inputs of `UsdPreviewSurface`. The output is text, or a package that contains the text.
 
 use std::fmt::Write;
 use std::io::{Cursor, Write as _};
@@ -12,9 +12,9 @@ use zip::{CompressionMethod, ZipWriter};
 use crate::formats::splats::Splats;
 use relume_scene::sh_count;
 
-/// How many standard deviations a Gaussian reaches.
+/// Radius of a Gaussian's extent, standard deviations.
 const REACH: f32 = 3.0;
-/// What a package asks of the place of each file in it, bytes.
+/// Alignment that a package requires of each file in it, bytes.
 const ALIGNMENT: u16 = 64;
 
 /// The text of a `.usda` file of `splats`, which have +Y up.
@@ -68,7 +68,7 @@ pub fn encode_splats(splats: &Splats) -> String {
 /// The bytes of a `.usdz` package of `splats`, which have +Y up.
 ///
 /// # Errors
-/// When the text is too large for a package, 4 GiB.
+/// If the text is larger than the 4 GiB of a package.
 pub fn encode_splats_package(splats: &Splats) -> ZipResult<Vec<u8>> {
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     let stored = SimpleFileOptions::default()
@@ -103,7 +103,7 @@ fn tuple(values: &[f32]) -> String {
     out + ")"
 }
 
-/// Corners of the box around all Gaussians.
+/// Opposite corners of the box around all Gaussians.
 fn extent(splats: &Splats) -> [Vec3; 2] {
     let ball = |i: usize| {
         let reach = splats.scale(i).into_iter().fold(0.0, f32::max) * REACH;

@@ -1,4 +1,4 @@
-//! The sharpest frame of each interval of a clip, by ffmpeg.
+//! Extracts the sharpest frame of each interval of a clip with ffmpeg.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -14,23 +14,23 @@ use crate::formats::image_file;
 use crate::{CaptureError, sharpness};
 
 const INSTALL: &str = "apt-get install ffmpeg, brew install ffmpeg, or https://ffmpeg.org/download.html";
-/// The oldest release whose options are those that are used here; what tells no release is taken for newer.
+/// The oldest supported release. Builds that state no release are assumed to be newer.
 const MIN_VERSION: u32 = 4;
-/// Frames of an interval that are compared.
+/// Number of frames of an interval that are compared.
 const CANDIDATES: usize = 5;
-/// Most frames a second that are kept: neighbours beyond are the same photograph.
+/// Greatest number of kept frames per second; frames closer together show the same image.
 const MAX_FRAMES_PER_SECOND: f64 = 5.0;
-/// Files that are taken for clips.
+/// File extensions of clips.
 const ENDINGS: [&str; 7] = ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mts"];
 
-/// How frames are taken from a clip.
+/// Options of [`frames_of_clip`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ClipOptions {
-    /// Programs: names to be looked for on PATH, or paths.
+    /// ffmpeg: a name to find on PATH, or a path.
     pub ffmpeg: PathBuf,
-    /// ffmpeg's program that tells how long a clip is.
+    /// ffprobe, which reports the duration of a clip: a name to find on PATH, or a path.
     pub ffprobe: PathBuf,
-    /// Frames to keep, at least 3; fewer of a short clip.
+    /// Number of frames to keep, at least 3. Short clips give fewer.
     pub frames: usize,
 }
 
@@ -40,17 +40,19 @@ impl Default for ClipOptions {
     }
 }
 
-/// True for a file whose name ends as that of a clip.
+/// True for a file with the extension of a clip.
 pub fn is_clip(path: &Path) -> bool {
     let ending = path.extension().and_then(OsStr::to_str).unwrap_or_default().to_ascii_lowercase();
     ENDINGS.contains(&ending.as_str()) && path.is_file()
 }
 
-/// Writes the sharpest frame of each interval of `clip` into the folder `into`, which must not be there, as `0001.jpg` and so on,
-/// upright. Returns their number. The folder is there when it is complete; ffmpeg's output is in its `ffmpeg.log`.
+/// Writes the sharpest frame of each interval of `clip`, upright, as `0001.jpg` and so on into the folder `into`,
+/// which must not exist. Returns the number of frames. The folder appears when it is complete; it includes ffmpeg's
+/// output as `ffmpeg.log`.
 ///
 /// # Errors
-/// [`PoseError`]; what was made on the way stays in `into` with `.part` at its end, for its log, and is made anew the next time.
+/// [`PoseError`]. Partial results and the log remain in a folder named `into` plus `.part`, which the next call
+/// replaces.
 pub fn frames_of_clip(
     clip: &Path,
     into: &Path,
@@ -81,7 +83,7 @@ pub fn frames_of_clip(
     Ok(chosen.len())
 }
 
-/// Length of a clip, seconds.
+/// Duration of a clip, seconds.
 fn duration(
     clip: &Path,
     part: &Path,
@@ -113,12 +115,12 @@ fn duration(
         seconds = seconds.or(line.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0));
     })?;
     seconds.ok_or_else(|| {
-        let reason = "is no clip of a known length".to_owned();
+        let reason = "is not a video clip of known duration".to_owned();
         CaptureError::File { file: clip.display().to_string(), reason }.into()
     })
 }
 
-/// Frames of the clip, [`CANDIDATES`] for each that is kept, in their order.
+/// Frames of the clip in order, [`CANDIDATES`] for each that is kept.
 fn extract(
     clip: &Path,
     part: &Path,
@@ -129,7 +131,7 @@ fn extract(
 ) -> Result<Vec<PathBuf>, PoseError> {
     let wanted = frames * CANDIDATES;
     let log = part.join("ffmpeg.log");
-    // In the folder itself, since a percent sign in its name would be taken for the place of a number.
+    // ffmpeg runs in the folder, because it would read a percent sign in the folder's path as a number pattern.
     let ffmpeg = ExternalProgram {
         name: options.ffmpeg.as_os_str(),
         install: INSTALL,
@@ -153,7 +155,7 @@ fn extract(
     Ok((1..=wanted).map(candidate).take_while(|file| file.is_file()).collect())
 }
 
-/// Of each [`CANDIDATES`] files in a row the index of the sharpest.
+/// The index of the sharpest of each [`CANDIDATES`] consecutive files.
 fn sharpest(candidates: &[PathBuf]) -> Result<Vec<usize>, PoseError> {
     let sharpness = |file: &PathBuf| {
         let bytes = fs::read(file).map_err(PoseError::io(file))?;
@@ -175,7 +177,7 @@ fn sharpest(candidates: &[PathBuf]) -> Result<Vec<usize>, PoseError> {
 fn version(line: &str) -> Option<u32> {
     let (_, rest) = line.split_once(" version ")?;
     let digits = rest.trim_start_matches('n').split(|c: char| !c.is_ascii_digit()).next()?;
-    // Builds of no release tell a date.
+    // Development builds state a date instead of a release.
     digits.parse().ok().filter(|release| *release < 1000)
 }
 
@@ -210,7 +212,7 @@ mod tests {
         assert_eq!(version("built with gcc 12"), None);
         let folder = tempfile::TempDir::new().unwrap();
         let clip = folder.path().join("a.MP4");
-        assert!(!is_clip(&clip), "it is not there");
+        assert!(!is_clip(&clip), "the file does not exist");
         fs::write(&clip, "x").unwrap();
         assert!(is_clip(&clip) && !is_clip(folder.path()));
     }

@@ -1,4 +1,4 @@
-//! COLMAP, stage by stage: features, matches, poses.
+//! Runs the stages of COLMAP: features, matches, poses.
 
 use std::ffi::{OsStr, OsString};
 use std::fs;
@@ -12,27 +12,27 @@ use super::run_control::{PoseProgress, PoseStage, RunControl};
 use super::workspace::Workspace;
 use crate::{ImportLimits, PhotosWithoutPoses, cameras_of_colmap};
 
-/// The oldest COLMAP whose options are those that are used here.
+/// The oldest supported version of COLMAP.
 const MIN_VERSION: (u32, u32) = (3, 6);
-/// How long it may take to tell its version.
+/// Time limit of the command that prints the version.
 const HELP_TIME: Duration = Duration::from_secs(60);
 const INSTALL: &str = "apt-get install colmap, brew install colmap, or https://colmap.github.io/install.html; \
-                       or give a capture that has poses";
+                       or use a capture that has poses";
 
-/// How poses are found.
+/// Options of [`find_poses`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PoseOptions {
-    /// COLMAP's program: a name to be looked for on PATH, or a path.
+    /// COLMAP: a name to find on PATH, or a path.
     pub program: PathBuf,
-    /// Features are looked for in photographs of at most so many pixels on the longer side.
+    /// Longest side of the photographs for feature extraction, pixels. Larger photographs are reduced.
     pub max_side: u32,
-    /// Most features of a photograph.
+    /// Greatest number of features of a photograph.
     pub max_features: u32,
-    /// Threads of COLMAP; as many as there are processors when absent.
+    /// Threads of COLMAP; `None` for one per processor.
     pub threads: Option<u32>,
-    /// Bytes of memory that COLMAP may take (on Linux); any number when absent.
+    /// Limit on the memory of COLMAP, bytes (on Linux); `None` for no limit.
     pub memory: Option<u64>,
-    /// Whether COLMAP works where nobody else wants a processor (on Linux).
+    /// Whether COLMAP runs at low CPU priority (on Linux).
     pub low_priority: bool,
 }
 
@@ -49,22 +49,22 @@ impl Default for PoseOptions {
     }
 }
 
-/// What came of it.
+/// The result of [`find_poses`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PoseResult {
-    /// Photographs in all.
+    /// Number of photographs.
     pub photographs: usize,
-    /// Names of those without a pose; they are left out of the capture.
+    /// Names of the photographs without a pose; the capture does not include them.
     pub unregistered: Vec<String>,
-    /// True when an earlier run had found them.
+    /// True if an earlier run had already found the poses.
     pub already_present: bool,
 }
 
-/// Finds the poses of `photographs` and makes a capture of them in the folder `into`: `images/`, `masks/`, `sparse/0/` and
-/// COLMAP's output in `colmap.log`. A run that was ended goes on where it was, and one that is complete is not made again.
+/// Finds the poses of `photographs` and writes a capture to the folder `into`: `images/`, `masks/`, `sparse/0/` and
+/// COLMAP's output in `colmap.log`. A run that was interrupted is resumed. A complete run is not repeated.
 ///
 /// # Errors
-/// [`PoseError`]. The folder is no capture then, but holds the log.
+/// [`PoseError`]. The folder is then not a capture, but contains the log.
 pub fn find_poses(
     photographs: &PhotosWithoutPoses,
     into: &Path,
@@ -86,10 +86,11 @@ pub fn find_poses(
     Ok(PoseResult { photographs: photographs.photos().len(), unregistered, already_present })
 }
 
-/// The version of COLMAP that is installed; what it says is added to the file `log`.
+/// The version of the installed COLMAP. The program's output is appended to the file `log`.
 ///
 /// # Errors
-/// [`PoseError::NotInstalled`], [`PoseError::TooOld`] for one that [`find_poses`] does not work with, or why it does not run.
+/// [`PoseError::NotInstalled`], [`PoseError::TooOld`] if [`find_poses`] does not support the version, or the reason
+/// why the program does not run.
 pub fn colmap_version(options: &PoseOptions, log: &Path) -> Result<(u32, u32), PoseError> {
     let mut progress = |_| {};
     let mut run_control = RunControl::new(HELP_TIME, &mut progress, &|| false);
@@ -104,7 +105,7 @@ pub fn colmap_version(options: &PoseOptions, log: &Path) -> Result<(u32, u32), P
     checked_version(&program, &mut run_control)
 }
 
-/// The version that a COLMAP tells, if it is one that will do.
+/// The version that COLMAP reports, if it is supported.
 fn checked_version(
     colmap: &ExternalProgram<'_>,
     run_control: &mut RunControl<'_>,
@@ -120,30 +121,30 @@ fn checked_version(
     })
 }
 
-/// The names of the photographs that a model has poses for.
+/// The names of the photographs with a pose in the model in `folder`.
 fn placed(folder: &Path) -> Result<Vec<String>, PoseError> {
     let cameras = cameras_of_colmap(folder, &ImportLimits::default())?;
     Ok(cameras.into_iter().map(|camera| camera.name).collect())
 }
 
-/// COLMAP on a workspace.
+/// COLMAP with its workspace.
 struct Colmap<'a> {
     options: &'a PoseOptions,
     workspace: &'a Workspace,
     log: PathBuf,
     database: PathBuf,
-    /// What options of the features are called from version 3.13 on, or before.
+    /// Prefixes of option names, which differ between COLMAP versions.
     groups: OptionGroups,
 }
 
-/// The first words of options that were renamed.
+/// Prefixes of the options that version 3.13 renamed.
 struct OptionGroups {
     extraction: &'static str,
     matching: &'static str,
 }
 
 impl<'a> Colmap<'a> {
-    /// Looks for the program and makes the scratch folder.
+    /// Checks the program and creates the scratch folder.
     fn open(
         workspace: &'a Workspace,
         options: &'a PoseOptions,
@@ -180,12 +181,13 @@ impl<'a> Colmap<'a> {
         ExternalProgram { name, install: INSTALL, log: &self.log, folder: None, process_limits }
     }
 
-    /// The option that bounds the threads of a command.
+    /// The option that limits the threads of a command.
     fn threads(&self, group: &str) -> Option<(String, OsString)> {
         Some((format!("{group}.num_threads"), self.options.threads?.to_string().into()))
     }
 
-    /// Runs one of its commands with options, each with its value; `[done/total]` after `counted` in its output is progress.
+    /// Runs a command with options and their values. `[done/total]` after `counted` in its output is reported as
+    /// progress.
     fn stage(
         &self,
         stage: PoseStage,
@@ -228,7 +230,7 @@ impl<'a> Colmap<'a> {
     }
 
     fn matches(&self, run_control: &mut RunControl<'_>) -> Result<(), PoseError> {
-        // Blocks of photographs, so that progress is seen: COLMAP's own default has one block of fifty.
+        // Small blocks, so that progress is visible: COLMAP's default is one block of fifty photographs.
         const BLOCK: &str = "10";
         let mut options = vec![
             ("database_path".to_owned(), self.database.clone().into()),
@@ -239,7 +241,7 @@ impl<'a> Colmap<'a> {
         self.stage(PoseStage::Matching, "exhaustive_matcher", &options, "Matching block", run_control)
     }
 
-    /// Places the photographs; of the models that COLMAP makes, the folder of the one with the most.
+    /// Computes the poses. Returns the folder of the model with the most photographs.
     fn model(
         &self,
         photographs: &PhotosWithoutPoses,
@@ -301,7 +303,8 @@ fn version(line: &str) -> Option<(u32, u32)> {
     Some((numbers.next()?.parse().ok()?, numbers.next()?.parse().ok()?))
 }
 
-/// Done and total of a line like `Processed file [3/24]`. A matrix of blocks, `Matching block [1/3, 2/3]`, counts row by row.
+/// Done and total of a line like `Processed file [3/24]`. The blocks of a matrix, `Matching block [1/3, 2/3]`, are
+/// counted row by row.
 fn count(line: &str, counted: &str) -> Option<(u64, u64)> {
     let (_, rest) = line.split_once(counted)?;
     let (counts, _) = rest.split_once('[')?.1.split_once(']')?;
@@ -318,7 +321,7 @@ fn count(line: &str, counted: &str) -> Option<(u64, u64)> {
     }
 }
 
-/// Photographs that are placed, from a line like `Registering image #5 (6)`.
+/// Number of registered photographs in a line like `Registering image #5 (6)`.
 fn registered(line: &str) -> Option<u64> {
     let (_, rest) = line.split_once("Registering image #")?;
     rest.split_once('(')?.1.split(|c: char| !c.is_ascii_digit()).find(|s| !s.is_empty())?.parse().ok()

@@ -1,73 +1,73 @@
-//! Why photographs got no poses.
+//! Errors of pose estimation.
 
 use std::path::{Path, PathBuf};
 
 use crate::CaptureError;
 
-/// Why photographs got no poses, or a clip no photographs.
+/// Errors of pose estimation and of the extraction of frames from a clip.
 #[derive(Debug, thiserror::Error)]
 pub enum PoseError {
     /// The program is not on PATH.
     #[error("`{program}` is not installed (it is not on PATH): {install}")]
     NotInstalled {
-        /// Its name.
+        /// Name of the program.
         program: String,
-        /// How to get it.
+        /// How to install it.
         install: &'static str,
     },
-    /// The program is too old, or tells no version.
-    #[error("`{program}` is of version {found}; at least {least} is needed: {install}")]
+    /// The program is too old, or does not report a version.
+    #[error("the version of `{program}` is {found}; {least} or later is required: {install}")]
     TooOld {
-        /// Its name.
+        /// Name of the program.
         program: String,
-        /// Its version, as it says.
+        /// The version that it reports.
         found: String,
-        /// The oldest that is known to do.
+        /// The oldest supported version.
         least: &'static str,
-        /// How to get another.
+        /// How to install another version.
         install: &'static str,
     },
-    /// The program ended with an error.
-    #[error("`{program}` failed ({status}); the end of {log}:\n{end}", log = .log.display())]
+    /// The program exited with an error.
+    #[error("`{program}` failed ({status}); last lines of {log}:\n{end}", log = .log.display())]
     Failed {
-        /// Its name and what it did.
+        /// Name of the program and its command.
         program: String,
-        /// Its exit status, as the system says it.
+        /// Exit status as the operating system describes it.
         status: String,
-        /// The last lines of its log.
+        /// Last lines of the log.
         end: String,
-        /// Its log.
+        /// Path of the log.
         log: PathBuf,
     },
-    /// The limit on time was reached.
-    #[error("`{program}` was stopped: the limit of {minutes} minutes was reached; its log is {log}", log = .log.display())]
+    /// The time limit was reached.
+    #[error("`{program}` was stopped at the limit of {minutes} minutes; the log is {log}", log = .log.display())]
     TimedOut {
-        /// Its name and what it did.
+        /// Name of the program and its command.
         program: String,
-        /// The limit on all stages together.
+        /// The limit on all stages together, minutes.
         minutes: u64,
-        /// Its log.
+        /// Path of the log.
         log: PathBuf,
     },
-    /// The caller does not want the result any more.
+    /// The caller cancelled the work.
     #[error("cancelled")]
     Cancelled,
-    /// Too few photographs show a part of what others show.
+    /// COLMAP found poses for too few photographs.
     #[error(
-        "COLMAP placed {placed} of {photographs} photographs, fewer than half: take them with more overlap, sharp and evenly lit, \
-         of things with texture; its log is {log}",
+        "COLMAP found the poses of {placed} of {photographs} photographs; at least 3, and half of them, are needed: \
+         take sharp and evenly lit photographs of textured objects with more overlap; the log is {log}",
         log = .log.display()
     )]
     TooFewPlaced {
         /// Photographs with a pose.
         placed: usize,
-        /// Photographs in all.
+        /// Number of photographs.
         photographs: usize,
-        /// COLMAP's log.
+        /// Path of COLMAP's log.
         log: PathBuf,
     },
-    /// The folder for the result holds something else.
-    #[error("{folder}: holds the poses of other photographs; remove it or name another folder", folder = .0.display())]
+    /// The folder for the result contains other photographs.
+    #[error("{folder}: contains the poses of other photographs; remove it or choose another folder", folder = .0.display())]
     FolderNotEmpty(PathBuf),
     /// A file could not be read or written.
     #[error("{file}: {source}", file = .file.display())]
@@ -77,7 +77,7 @@ pub enum PoseError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// A photograph or a file of COLMAP's cannot be used.
+    /// A photograph or a file from COLMAP cannot be used.
     #[error(transparent)]
     Capture(#[from] CaptureError),
 }

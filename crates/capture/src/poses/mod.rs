@@ -1,7 +1,7 @@
-//! Camera poses of photographs that have none, by COLMAP; photographs of a clip, by ffmpeg.
+//! Estimates the camera poses of photographs with COLMAP, and extracts photographs from a clip with ffmpeg.
 //!
-//! Both are programs of others that are looked for on PATH. They are started without a shell, write to a log file that is kept,
-//! have a limit on time and are killed when the caller does not want their result any more.
+//! Both are external programs on PATH. They are started without a shell, write to a log file that is kept, have a
+//! time limit, and are killed if the caller cancels.
 
 mod clip;
 mod colmap;

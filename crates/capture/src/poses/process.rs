@@ -1,4 +1,4 @@
-//! Runs a program of others: no shell, its output in a log file, an end that does not depend on its good will.
+//! Runs an external program without a shell, with its output in a log file and with a time limit.
 
 use std::ffi::OsStr;
 use std::fs::{File, OpenOptions};
@@ -11,32 +11,33 @@ use super::error::PoseError;
 use super::process_limits::ProcessLimits;
 use super::run_control::RunControl;
 
-/// How often a program is looked after.
+/// Interval at which a running program is checked.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
-/// Lines of the log that an error shows.
+/// Number of log lines that an error shows.
 const SHOWN_LINES: usize = 8;
-/// Bytes of a line that are kept.
+/// Bytes of a line that are kept; the rest of a longer line is dropped.
 const MAX_LINE_BYTES: usize = 4096;
 
-/// A program, how to get it, and where it logs.
+/// An external program.
 pub(super) struct ExternalProgram<'a> {
-    /// Name to be looked for on PATH, or a path.
+    /// Name to find on PATH, or a path.
     pub name: &'a OsStr,
-    /// How to get it.
+    /// How to install it.
     pub install: &'static str,
-    /// Its output is added to the end of this file.
+    /// The file to which the program's output is appended.
     pub log: &'a Path,
-    /// Where it runs, if not where this program does.
+    /// Working directory; `None` for that of this process.
     pub folder: Option<&'a Path>,
-    /// What it may take.
+    /// Limits on its resources.
     pub process_limits: ProcessLimits,
 }
 
 impl ExternalProgram<'_> {
-    /// Runs it to its end; `line` is called with each line that it writes, a short while after.
+    /// Runs the program until it exits. `line` is called with each line that it writes, with a short delay.
     ///
     /// # Errors
-    /// [`PoseError`] when it is not installed, fails, takes too long or is not wanted any more. It does not run any longer then.
+    /// [`PoseError`] if the program is not installed, fails, exceeds the time limit or is cancelled. It is no longer
+    /// running then.
     pub(super) fn run(
         &self,
         arguments: &[&OsStr],
@@ -53,7 +54,7 @@ impl ExternalProgram<'_> {
         if let Some(folder) = self.folder {
             command.current_dir(folder);
         }
-        // Builds of COLMAP with a window want a display for any command but for this.
+        // COLMAP with a user interface requires a display for all commands unless this is set.
         command.env("QT_QPA_PLATFORM", "offscreen");
         let spawned = command.spawn().map_err(|error| match error.kind() {
             ErrorKind::NotFound => {
@@ -89,7 +90,7 @@ impl ExternalProgram<'_> {
         }
     }
 
-    /// Its name, and the command that it was given.
+    /// Name of the program and its command.
     fn command_text(&self, arguments: &[&OsStr]) -> String {
         let command = arguments.first().filter(|a| !a.to_string_lossy().starts_with('-'));
         let command = command.map_or(String::new(), |c| format!(" {}", c.display()));
@@ -97,7 +98,7 @@ impl ExternalProgram<'_> {
     }
 }
 
-/// A program that ends when this goes.
+/// A running program, killed on drop.
 struct RunningProcess<'a> {
     child: Child,
     process_limits: &'a ProcessLimits,
@@ -105,14 +106,14 @@ struct RunningProcess<'a> {
 
 impl Drop for RunningProcess<'_> {
     fn drop(&mut self) {
-        // Both fail only where it has ended already.
+        // Both calls fail only if the program has already exited.
         let _ = self.child.kill();
         let _ = self.child.wait();
         self.process_limits.forget();
     }
 }
 
-/// The lines that are added to a file.
+/// Reads the lines that are appended to a file.
 struct LogTail {
     file: File,
     unfinished: Vec<u8>,
@@ -120,14 +121,14 @@ struct LogTail {
 }
 
 impl LogTail {
-    /// Lines after what the file holds now.
+    /// Starts after the current end of the file.
     fn after_the_end(path: &Path) -> std::io::Result<Self> {
         let mut file = File::open(path)?;
         std::io::Seek::seek(&mut file, std::io::SeekFrom::End(0))?;
         Ok(Self { file, unfinished: Vec::new(), last_lines: Vec::new() })
     }
 
-    /// Calls `line` for each line that was completed since, and keeps the last few.
+    /// Calls `line` for each line completed since the last call, and keeps the last few.
     fn read(&mut self, line: &mut dyn FnMut(&str)) -> std::io::Result<()> {
         let mut buffer = [0; 8192];
         loop {
@@ -162,7 +163,7 @@ impl LogTail {
 mod tests {
     use super::*;
 
-    /// What `sh -c script` comes to, the lines it wrote, and its log.
+    /// The result of `sh -c script`, the lines that it wrote, and its log.
     fn run(script: &str, limit: Duration, cancelled: bool) -> (Result<(), PoseError>, Vec<String>, String) {
         let folder = tempfile::TempDir::new().unwrap();
         let log = folder.path().join("x.log");
@@ -209,9 +210,9 @@ mod tests {
         let (ended, _, log) = run("echo $$; exec sleep 300", Duration::from_millis(500), false);
         assert!(matches!(ended, Err(PoseError::TimedOut { minutes: 1, .. })), "{ended:?}");
         let pid = log.lines().nth(1).unwrap();
-        assert!(!runs(pid), "{pid} runs on");
+        assert!(!runs(pid), "{pid} is still running");
         assert!(matches!(run("exec sleep 300", LONG, true).0, Err(PoseError::Cancelled)));
-        assert!(runs("$$"), "the control: who asks runs");
+        assert!(runs("$$"), "the control: a running process");
     }
 
     #[test]

@@ -1,17 +1,18 @@
-//! What a program of others may take, and which one was left running by a process that was killed.
+//! Resource limits of an external program, and a marker file with which the next run kills a program left by a killed
+//! process.
 
 use std::path::PathBuf;
 #[cfg(not(target_os = "linux"))]
 use std::process::Child;
 
-/// What a program may take. Only Linux can hold it to that.
+/// Limits of an external program. They are enforced only on Linux.
 #[derive(Debug, Default)]
 pub(super) struct ProcessLimits {
-    /// Bytes of memory; any number when absent.
+    /// Limit on memory, bytes; `None` for no limit.
     pub memory: Option<u64>,
-    /// Whether others go first where processors are scarce.
+    /// Whether the program runs at low CPU priority.
     pub low_priority: bool,
-    /// A file that says which process runs: where this process is killed, the next one ends what it left.
+    /// A file with the id of the running program. If this process is killed, the next run kills the program it left.
     pub marker: Option<PathBuf>,
 }
 
@@ -23,17 +24,17 @@ mod linux {
 
     use super::ProcessLimits;
 
-    /// How far a program that makes way steps back, of 19.
+    /// Nice value of a program at low priority, of at most 19.
     const NICE: i32 = 10;
 
     impl ProcessLimits {
-        /// Holds a program to the bounds that has just begun.
+        /// Applies the limits to a program that was just started.
         pub(in super::super) fn apply_to(&self, child: &Child) -> std::io::Result<()> {
             let Some(pid) = Pid::from_raw(child.id().cast_signed()) else { return Ok(()) };
             if let Some(marker) = &self.marker {
                 std::fs::write(marker, child.id().to_string())?;
             }
-            // A program that has ended by now needs no bounds.
+            // A program that has already exited needs no limits.
             if self.low_priority {
                 let _ = rustix::process::setpriority_process(Some(pid), NICE);
             }
@@ -44,8 +45,8 @@ mod linux {
             Ok(())
         }
 
-        /// Ends the program that an earlier process left, if the marker still names it: its command line names the folder of the
-        /// marker.
+        /// Kills the program that an earlier process left running, if the process in the marker still has the
+        /// marker's folder in its command line.
         pub(in super::super) fn kill_leftover(&self) {
             let named = || {
                 let marker = self.marker.as_ref()?;
@@ -67,18 +68,18 @@ mod linux {
 
 #[cfg(not(target_os = "linux"))]
 impl ProcessLimits {
-    /// Holds a program to the bounds that has just begun: not here.
+    /// Applies the limits to a program: unsupported on this system.
     pub(super) fn apply_to(&self, _: &Child) -> std::io::Result<()> {
         let _ = (self.memory, self.low_priority);
         Ok(())
     }
 
-    /// Ends the program that an earlier process left: not here.
+    /// Kills the program that an earlier process left: unsupported on this system.
     pub(super) fn kill_leftover(&self) {}
 }
 
 impl ProcessLimits {
-    /// Forgets a program that has ended.
+    /// Removes the marker of a program that has exited.
     pub(super) fn forget(&self) {
         if let Some(marker) = &self.marker {
             let _ = std::fs::remove_file(marker);
@@ -97,7 +98,7 @@ mod tests {
     use crate::poses::process::ExternalProgram;
     use crate::poses::run_control::RunControl;
 
-    /// What `sh -c script` writes under these bounds.
+    /// The lines that `sh -c script` writes under these limits.
     fn said(process_limits: ProcessLimits, script: &str, folder: &Path) -> Vec<String> {
         let (log, mut lines, mut ignored) = (folder.join("x.log"), Vec::new(), |_| {});
         let program =
@@ -111,7 +112,7 @@ mod tests {
     #[test]
     fn program_runs_with_a_memory_limit_and_lower_priority() {
         let folder = tempfile::TempDir::new().unwrap();
-        // The bounds come right after its start.
+        // The limits are applied right after the start.
         let script = "sleep 0.5; ulimit -d; nice";
         let process_limits = ProcessLimits { memory: Some(64 << 20), low_priority: true, marker: None };
         let held = said(process_limits, script, folder.path());
@@ -122,8 +123,8 @@ mod tests {
         assert_eq!(nice(&held), (nice(&free) + 10).min(19));
     }
 
-    /// A program that runs until it is ended, with `argument` in the command line that others read by now: a parent goes on
-    /// before the kernel has written that of its child.
+    /// Starts a program that runs until it is killed. Returns once `argument` is visible in its command line: a
+    /// parent continues before the kernel has written the command line of its child.
     fn start_looping(argument: &Path) -> std::process::Child {
         let script = ["-c", "while :; do sleep 0.1; done"];
         let child = Command::new("sh").args(script).arg(argument).spawn().unwrap();
@@ -149,7 +150,7 @@ mod tests {
                 let process_limits =
                     ProcessLimits { marker: Some(marker.clone()), ..ProcessLimits::default() };
                 let ending = scope.spawn(move || process_limits.kill_leftover());
-                // A process that has ended is there until its parent, which is this one, asks for it.
+                // A process that has exited exists until its parent, here the test, waits for it.
                 let polls = if is_ours { 3000 } else { 50 };
                 let reaped = (0..polls).any(|_| {
                     std::thread::sleep(Duration::from_millis(10));

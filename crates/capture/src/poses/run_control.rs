@@ -1,22 +1,22 @@
-//! Who follows the work: told how far it is, asked whether it is still wanted.
+//! Progress reports, cancellation and the time limit of pose estimation.
 
 use std::time::{Duration, Instant};
 
-/// A stage of the work.
+/// A stage of pose estimation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PoseStage {
-    /// Frames of a clip.
+    /// Frames are extracted from a clip.
     Frames,
-    /// Features of each photograph.
+    /// Features are extracted from each photograph.
     Features,
-    /// Features that photographs share.
+    /// Features are matched between photographs.
     Matching,
-    /// Placing photographs one after the other.
+    /// Photographs are registered one after the other.
     Mapping,
 }
 
 impl PoseStage {
-    /// What it does, in a word or two.
+    /// A short name of the stage.
     pub fn name(self) -> &'static str {
         match self {
             Self::Frames => "frames",
@@ -27,48 +27,48 @@ impl PoseStage {
     }
 }
 
-/// How far a stage is.
+/// Progress of a stage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PoseProgress {
     /// The stage.
     pub stage: PoseStage,
-    /// Photographs or groups of them that are done.
+    /// Photographs, or groups of them, that are done.
     pub done: u64,
-    /// Of how many.
+    /// Total number of photographs or groups.
     pub total: u64,
 }
 
-/// Who follows the work.
+/// Progress callback, cancellation and time limit.
 pub struct RunControl<'a> {
-    /// Told of progress.
+    /// Called with the progress.
     pub progress: &'a mut dyn FnMut(PoseProgress),
-    /// Asked several times a second; once true, the work ends as [`super::PoseError::Cancelled`].
+    /// Called several times a second. If it returns true, the work ends with [`super::PoseError::Cancelled`].
     pub is_cancelled: &'a dyn Fn() -> bool,
-    /// When the work must have ended, and the limit that it comes from.
+    /// The time by which the work must end, and the limit from which it follows.
     deadline: Instant,
     limit: Duration,
 }
 
 impl<'a> RunControl<'a> {
-    /// A watch over work that may take `limit` from now on.
+    /// Control of work that may take `limit` from now on.
     pub fn new(
         limit: Duration,
         progress: &'a mut dyn FnMut(PoseProgress),
         is_cancelled: &'a dyn Fn() -> bool,
     ) -> Self {
         let now = Instant::now();
-        // A limit beyond what the clock can say is none: a century will do.
+        // If the deadline is beyond the range of the clock, a century replaces the limit.
         let century = Duration::from_secs(100 * 366 * 24 * 3600);
         let deadline = now.checked_add(limit).unwrap_or_else(|| now + century);
         Self { progress, is_cancelled, deadline, limit }
     }
 
-    /// True once the time is over.
+    /// True once the deadline has passed.
     pub(super) fn is_over(&self) -> bool {
         Instant::now() >= self.deadline
     }
 
-    /// The limit, minutes, rounded up.
+    /// The time limit in minutes, rounded up.
     pub(super) fn minutes(&self) -> u64 {
         (self.limit.as_secs_f64() / 60.0).ceil() as u64
     }

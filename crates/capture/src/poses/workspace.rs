@@ -6,21 +6,21 @@ use std::path::{Path, PathBuf};
 use super::error::PoseError;
 use crate::PhotosWithoutPoses;
 
-/// The folder of a capture in the making.
+/// The folder of an unfinished capture.
 pub(super) struct Workspace {
     root: PathBuf,
 }
 
 impl Workspace {
-    /// Copies photographs and masks into `root`, which is made. What an earlier run began there is gone on with.
+    /// Creates `root` and copies photographs and masks into it. The results of an earlier run are kept.
     ///
     /// # Errors
-    /// [`PoseError::FolderNotEmpty`] when there are other photographs.
+    /// [`PoseError::FolderNotEmpty`] if the folder contains other photographs.
     pub(super) fn fill(root: &Path, photographs: &PhotosWithoutPoses) -> Result<Self, PoseError> {
         let workspace = Self { root: root.to_owned() };
         let wanted: Vec<PathBuf> = photographs.photos().map(|name| workspace.images().join(name)).collect();
         for other in files_below(&workspace.images())?.into_iter().filter(|file| !wanted.contains(file)) {
-            // What was being copied when an earlier run ended.
+            // A partial copy that an interrupted run left.
             if other.extension().is_some_and(|e| e == PARTIAL) {
                 fs::remove_file(&other).map_err(PoseError::io(&other))?;
             } else {
@@ -47,7 +47,7 @@ impl Workspace {
         self.root.join("images")
     }
 
-    /// The sparse model, whole once it is there.
+    /// The folder of the sparse model, which is complete once it exists.
     pub(super) fn model(&self) -> PathBuf {
         self.root.join("sparse").join("0")
     }
@@ -57,22 +57,22 @@ impl Workspace {
         self.root.join("colmap.log")
     }
 
-    /// Says which COLMAP works here.
+    /// File with the process id of the COLMAP that runs in this workspace.
     pub(super) fn marker(&self) -> PathBuf {
         self.scratch().join("process")
     }
 
-    /// What COLMAP needs on the way and nobody afterwards.
+    /// Folder of COLMAP's intermediate files, removed at the end.
     pub(super) fn scratch(&self) -> PathBuf {
         self.root.join("colmap")
     }
 
-    /// True when an earlier run came to its end.
+    /// True if an earlier run completed.
     pub(super) fn is_done(&self) -> bool {
         self.model().is_dir()
     }
 
-    /// Makes `model`, a folder in the scratch folder, the result, and removes what is not needed any more.
+    /// Moves `model`, a folder in the scratch folder, to its final path and removes the scratch folder.
     pub(super) fn finish(&self, model: &Path) -> Result<(), PoseError> {
         let sparse = self.root.join("sparse");
         fs::create_dir_all(&sparse).map_err(PoseError::io(&sparse))?;
@@ -81,10 +81,10 @@ impl Workspace {
     }
 }
 
-/// The ending of a file that is being written.
+/// Extension of a file that is being written.
 const PARTIAL: &str = "relume-tmp";
 
-/// Writes a file, whole or not at all; one that is there must hold the same.
+/// Writes a file atomically. An existing file must have the same contents.
 fn keep(file: &Path, bytes: &[u8]) -> Result<(), PoseError> {
     if file.is_file() {
         let same = fs::read(file).map_err(PoseError::io(file))? == bytes;
@@ -99,7 +99,7 @@ fn keep(file: &Path, bytes: &[u8]) -> Result<(), PoseError> {
     fs::rename(&partial, file).map_err(PoseError::io(file))
 }
 
-/// Every file under a folder that need not be there.
+/// Every file under a folder that may be absent.
 fn files_below(folder: &Path) -> Result<Vec<PathBuf>, PoseError> {
     let (mut files, mut open) = (Vec::new(), vec![folder.to_owned()]);
     while let Some(folder) = open.pop().filter(|folder| folder.is_dir()) {

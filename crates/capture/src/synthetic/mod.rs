@@ -16,11 +16,11 @@ use crate::{Capture, CaptureError, CaptureView, GroundTruthView, SceneBounds, bu
 use relume_scene::srgb;
 use relume_scene::{BitDepth, Camera, EnvMap, ImageRgba, PackedImage, Plane};
 
-/// Radius of the ball around the origin that holds the scene.
+/// Radius of the ball around the origin that contains the scene.
 const SCENE_RADIUS: f64 = 1.2;
 /// Distance of every camera from the origin.
 const CAMERA_DISTANCE: f64 = 3.6;
-/// Full field of view, radians; the ball just fits into it.
+/// Full field of view, radians; the ball just fits in it.
 const FIELD_OF_VIEW: f64 = 0.691_111_2;
 
 /// Options of [`synthetic`].
@@ -38,7 +38,7 @@ pub struct SyntheticOptions {
     pub train_light: EnvMap,
     /// Lights of the relit truth, by name.
     pub relit: BTreeMap<String, EnvMap>,
-    /// Light paths per pixel, 4 to 65,536; the noise is inversely proportional to its square root.
+    /// Light paths per pixel, 4 to 65,536; the noise is inversely proportional to the square root of their number.
     pub paths: u32,
     /// Seed of the noise.
     pub seed: u64,
@@ -64,8 +64,8 @@ impl Default for SyntheticOptions {
 /// Renders the synthetic capture: by default spheres, a box and a cylinder of different materials on a chequered
 /// table.
 ///
-/// World +Z is up; the scene lies within 1.2 units of the origin; camera centres are 3.6 units from it on the
-/// upper hemisphere. Two bounces of indirect light. Photographs have 16 bits a channel. The same options give the same bytes on
+/// World +Z is up; the scene lies within 1.2 units of the origin; camera centres are 3.6 units from it on the upper
+/// hemisphere. Light has two indirect bounces. Photographs have 16 bits a channel. Equal options give equal bytes on
 /// any number of threads.
 ///
 /// # Errors
@@ -140,7 +140,7 @@ fn spiral(i: usize, count: usize, turn: f64) -> DVec3 {
     DVec3::new(side * azimuth.cos(), side * azimuth.sin(), z)
 }
 
-/// A camera in direction `towards` of the origin, looking at it.
+/// A camera in direction `towards` from the origin, which it looks at.
 fn camera(towards: DVec3, size: u32) -> Result<Camera, CaptureError> {
     Camera::look_at(towards * CAMERA_DISTANCE, DVec3::ZERO, DVec3::Z, FIELD_OF_VIEW, (size, size))
         .map_err(|e| CaptureError::at_field("synthetic", e.field, e.reason))

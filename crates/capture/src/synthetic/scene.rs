@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3};
 
-/// What a surface point is made of.
+/// The material at a surface point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Material {
     /// Base colour, linear.
@@ -48,7 +48,7 @@ enum Solid {
 struct Primitive {
     shape: Solid,
     material: Material,
-    /// The second albedo of a checkerboard in x and y, if it has one.
+    /// The second albedo of a checkerboard in x and y, if there is one.
     checker: Option<DVec3>,
 }
 
@@ -75,11 +75,11 @@ pub(super) struct AnalyticScene {
 const TABLE: f64 = -0.42;
 /// Side of a square of the table's checkerboard.
 const FIELD: f64 = 0.25;
-/// Radius of the ball in the scenes of one ball.
+/// Radius of the ball in the scenes with one ball.
 const BALL: f64 = 0.85;
 
 impl AnalyticScene {
-    /// The primitives of `which`.
+    /// The primitives of scene `which`.
     pub(super) fn new(which: SyntheticScene) -> Self {
         let ball = |metallic, roughness| {
             let albedo = DVec3::new(0.7, 0.62, 0.5);
@@ -127,7 +127,7 @@ impl AnalyticScene {
         ]
     }
 
-    /// The nearest hit of the ray at a distance over [`NEAR`].
+    /// The nearest hit of the ray at a distance above [`NEAR`].
     pub(super) fn intersect(&self, origin: DVec3, direction: DVec3) -> Option<Hit> {
         let mut nearest: Option<(f64, DVec3, &Primitive)> = None;
         for primitive in &self.primitives {
@@ -154,7 +154,7 @@ impl Primitive {
     }
 }
 
-/// Smallest distance of a hit, so that a ray does not meet the surface that it starts on.
+/// Smallest distance of a hit, so that a ray does not hit the surface that it starts on.
 const NEAR: f64 = 1e-6;
 
 impl Solid {

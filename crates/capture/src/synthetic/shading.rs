@@ -1,4 +1,4 @@
-//! The surface model of the synthetic scene, and how directions are drawn for it.
+//! The surface model of the synthetic scene and its direction sampling.
 //!
 //! Lambert `a (1 - m) / pi` plus Cook-Torrance with the GGX distribution (`alpha = roughness^2`), the
 //! height-correlated Smith shadowing term and Schlick's Fresnel with `F0 = 0.04 (1 - m) + a m`.
@@ -10,7 +10,7 @@ use glam::{DVec2, DVec3};
 use super::scene::Material;
 use relume_scene::{EnvMap, direction_to_uv, texel_directions};
 
-/// A surface point and the direction it is seen from.
+/// A surface point and the direction from which it is seen.
 pub(super) struct SurfacePoint {
     pub normal: DVec3,
     pub view: DVec3,
@@ -18,7 +18,7 @@ pub(super) struct SurfacePoint {
 }
 
 impl SurfacePoint {
-    /// BRDF times cosine for light from unit direction `l`, per channel; zero from below.
+    /// BRDF times cosine for light from unit direction `l`, per channel; zero for light from below.
     pub(super) fn reflect(&self, l: DVec3) -> DVec3 {
         let (n_l, n_v) = (self.normal.dot(l), self.normal.dot(self.view).max(1e-6));
         if n_l <= 0.0 {
@@ -61,7 +61,7 @@ impl SurfacePoint {
     }
 }
 
-/// The unit vector at `cosine` from `axis`, rotated about it by `turn` of a full circle.
+/// The unit vector at `cosine` to `axis`, rotated about it by `turn` of a full circle.
 fn around(axis: DVec3, cosine: f64, turn: f64) -> DVec3 {
     let (x, y) = axis.any_orthonormal_pair();
     let (sin_phi, cos_phi) = (TAU * turn).sin_cos();
@@ -74,7 +74,7 @@ pub(super) fn sample_cosine(normal: DVec3, u: DVec2) -> DVec3 {
     around(normal, (1.0 - u.x).sqrt(), u.y)
 }
 
-/// Draws directions with a density proportional to the luminance of a map, constant in each texel.
+/// Samples directions with a density proportional to the luminance of a map, constant in each texel.
 pub(super) struct LightSampler {
     width: usize,
     height: usize,
@@ -85,7 +85,7 @@ pub(super) struct LightSampler {
 }
 
 impl LightSampler {
-    /// Proportional to the mean luminance of `maps`, so that one sampler serves several lights at once.
+    /// Density proportional to the mean luminance of `maps`, so that one sampler serves several lights.
     pub(super) fn new(maps: &[EnvMap]) -> Self {
         const SIZE: (usize, usize) = (64, 32);
         let mut power = vec![0.0; SIZE.0 * SIZE.1];
@@ -94,7 +94,7 @@ impl LightSampler {
             let small = map.resampled(SIZE.0, SIZE.1);
             let luminance = |t: &[f32; 3]| f64::from(0.2126 * t[0] + 0.7152 * t[1] + 0.0722 * t[2]);
             let total: f64 = small.texels().iter().zip(&directions).map(|(t, d)| luminance(t) * d.1).sum();
-            // A tenth of the power is uniform: bilinear lookups see light one texel outside a lamp.
+            // A uniform part of a tenth: bilinear lookups see light one texel outside a lamp.
             let share = |t: &[f32; 3]| luminance(t) / total.max(1e-12) + 0.1 / (4.0 * PI);
             power.iter_mut().zip(small.texels()).for_each(|(p, t)| *p += share(t));
         }
@@ -112,7 +112,7 @@ impl LightSampler {
     fn sample(&self, u: DVec2) -> DVec3 {
         let texel = self.cumulative.partition_point(|&c| c < u.x).min(self.density.len() - 1);
         let below = if texel == 0 { 0.0 } else { self.cumulative[texel - 1] };
-        // The rest of `u.x` inside the texel is again uniform.
+        // The remainder of `u.x` inside the texel is again uniform.
         let across = ((u.x - below) / (self.cumulative[texel] - below)).clamp(0.0, 1.0);
         let (x, y) = (texel % self.width, texel / self.width);
         let edge = |row: usize| (PI * row as f64 / self.height as f64).cos();
@@ -130,14 +130,14 @@ impl LightSampler {
     }
 }
 
-/// Shares of the three densities in the mixture.
+/// Weights of the three densities in the mixture.
 const COSINE: f64 = 0.3;
 const SPECULAR: f64 = 0.3;
 const LIGHT: f64 = 0.4;
 
-/// One direction drawn from the mixture, and BRDF x cosine / density of the whole mixture for it.
+/// A direction drawn from the mixture, and for it BRDF x cosine / density of the whole mixture.
 pub(super) fn sample_mixture(surface: &SurfacePoint, lights: &LightSampler, u: DVec2) -> (DVec3, DVec3) {
-    // The rest of `u.x` after the choice is again uniform and as evenly distributed.
+    // The remainder of `u.x` after the choice is again uniform and equally well distributed.
     let l = if u.x < COSINE {
         sample_cosine(surface.normal, DVec2::new(u.x / COSINE, u.y))
     } else if u.x < COSINE + SPECULAR {
@@ -165,7 +165,7 @@ mod tests {
         SurfacePoint { normal: DVec3::Z, view: DVec3::new(0.6, 0.0, 0.8), material }
     }
 
-    /// Reflected radiance under a map: by the mixture, and by plain quadrature.
+    /// Reflected radiance under a map, by mixture sampling and by quadrature.
     fn both(surface: &SurfacePoint, map: &EnvMap) -> (DVec3, DVec3) {
         let lights = LightSampler::new(std::slice::from_ref(map));
         let light = |d| DVec3::from(map.sample(d).map(f64::from));

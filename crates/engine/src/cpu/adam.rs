@@ -10,10 +10,10 @@ use crate::{Gradients, Moments};
 use relume_layout::constants::{ADAM_BETA1 as BETA1, ADAM_BETA2 as BETA2, ADAM_EPSILON as EPSILON};
 use relume_scene::{Field, Model};
 
-/// Gaussians a task takes.
+/// Gaussians per task.
 const CHUNK: usize = 512;
 
-/// One step: moves `model` and its moments along `gradients`.
+/// One Adam step: updates `model` and its moments from `gradients`.
 pub fn adam_step(
     model: &mut Model,
     moments: &mut Moments,
@@ -40,14 +40,14 @@ pub fn adam_step(
 struct FieldSlice<'a> {
     data: &'a mut [f32],
     moments: [&'a mut [f32]; 2],
-    /// Where the field is in a row of gradients.
+    /// Range of the field in a gradient row.
     range: Range<usize>,
     rate: f32,
     field: Field,
     correction2: f32,
 }
 
-/// The step of the Gaussians' fields. A task takes all fields of its Gaussians, whose gradients stay in the cache meanwhile.
+/// Updates the Gaussians' fields. A task updates all fields of its Gaussians, so that their gradients stay in the cache.
 fn step_gaussians(
     model: &mut Model,
     moments: &mut Moments,

@@ -1,5 +1,5 @@
-//! From a Gaussian's raw parameters to the row of attributes that is blended, and back
-//! (docs/MODEL.md sections 1 and 3).
+//! The attribute row of a Gaussian, which blending sums, from its raw parameters; forward and backward (docs/MODEL.md,
+//! sections 1 and 3).
 
 use crate::RasterCamera;
 use crate::RowLayout;
@@ -11,30 +11,30 @@ use relume_layout::channel::{self, Channels, IncidentLight, OutgoingRadiance, Ro
 use relume_scene::light::{LightTables, sh_eval, sh_eval_with_gradient};
 use relume_scene::{Field, Gaussians, IndirectForm, MAX_LIGHTS, NormalForm, ShadeAt, ShadingOptions};
 
-/// Most radiance coefficients a Gaussian has (order 4).
+/// Maximum number of radiance coefficients (degree 4).
 const MAX_RADIANCE: usize = 25;
 
-/// The model as the attribute kernels read it.
+/// The input of the attribute kernels.
 #[derive(Debug, Clone, Copy)]
 pub struct AttributeSource<'a> {
     /// The Gaussians.
     pub gaussians: &'a Gaussians,
     /// Albedo prototypes.
     pub prototypes: &'a [[f32; 3]],
-    /// The forward model.
+    /// Options of the forward model.
     pub options: &'a ShadingOptions,
-    /// Measured indirect light per Gaussian: irradiance RGB, mean blocked radiance RGB. Empty = none.
+    /// Measured indirect light per Gaussian: irradiance RGB, mean blocked radiance RGB. Empty: none.
     pub gathered: &'a [[f32; 6]],
-    /// Measured share of each of the light's own lights that arrives, per Gaussian. Empty = all of it.
+    /// Measured share of each dominant light that arrives, per Gaussian. Empty: all of it.
     pub arriving: &'a [[f32; MAX_LIGHTS]],
     /// `E_j` of Eq. 20, for `IndirectForm::Learned`.
     pub indirect_basis: &'a [[f32; 3]; 16],
-    /// Shades each Gaussian, whose rows then carry [`OutgoingRadiance`]; none: rows carry [`IncidentLight`].
+    /// Shader of the Gaussians, whose rows then carry [`OutgoingRadiance`]. `None`: rows carry [`IncidentLight`].
     pub light: Option<SurfaceShader<'a>>,
 }
 
 impl<'a> AttributeSource<'a> {
-    /// The same under a light, for a model that is shaded at its Gaussians.
+    /// The source with a light, for a model that is shaded at its Gaussians.
     #[must_use]
     pub fn under(self, light: SurfaceShader<'a>) -> Self {
         match self.options.shade_at {
@@ -43,7 +43,7 @@ impl<'a> AttributeSource<'a> {
         }
     }
 
-    /// The same shaded at its Gaussians, whatever the model.
+    /// The source with shading at the Gaussians, for every model.
     #[must_use]
     pub fn shaded(self, light: SurfaceShader<'a>) -> Self {
         Self { light: Some(light), ..self }
@@ -51,7 +51,7 @@ impl<'a> AttributeSource<'a> {
 }
 
 impl AttributeSource<'_> {
-    /// Which light its rows carry.
+    /// Kind of light in its rows.
     pub fn row_light(&self) -> RowLight {
         if self.light.is_some() { RowLight::Outgoing } else { RowLight::Incident }
     }
@@ -68,7 +68,7 @@ impl AttributeSource<'_> {
         }
     }
 
-    /// Fills `row` (zeroed but for albedo, which is there already; `channels.stored()` floats) for a visible splat.
+    /// Fills `row` (`channels.stored()` floats, zero except for albedo, which is already written) for a visible splat.
     pub(super) fn write(&self, view: &RasterCamera, splat: &Splat, channels: Channels, row: &mut [f32]) {
         let i = splat.gaussian as usize;
         row[channel::COVERAGE] = 1.0;
@@ -104,7 +104,7 @@ impl AttributeSource<'_> {
             .copy_from_slice(&self.gaussians.row(Field::Visibility, i)[..coefficients]);
     }
 
-    /// Light that Gaussian `i` gets from other surfaces.
+    /// Light that Gaussian `i` receives from other surfaces.
     pub fn incident(&self, i: usize) -> IncidentLight {
         let mut out = IncidentLight::default();
         match self.options.indirect {
@@ -123,12 +123,12 @@ impl AttributeSource<'_> {
         out
     }
 
-    /// Share of each light that arrives at Gaussian `i`.
+    /// Share of each dominant light that arrives at Gaussian `i`.
     pub fn arriving_at(&self, i: usize) -> [f32; MAX_LIGHTS] {
         self.arriving.get(i).copied().unwrap_or([1.0; MAX_LIGHTS])
     }
 
-    /// Gaussian `i`, whose normal and material are in `row`, as a surface seen along `to_mean` (mean minus camera centre).
+    /// Gaussian `i` as a surface seen along `to_mean` (mean minus camera centre), with normal and material from `row`.
     pub fn surface(&self, i: usize, row: &[f32], to_mean: [f32; 3]) -> Surface {
         let triple = |r: std::ops::Range<usize>| std::array::from_fn(|k| row[r.start + k]);
         let mut visibility = [0.0f32; MAX_COEFFICIENTS];
@@ -148,7 +148,7 @@ impl AttributeSource<'_> {
         }
     }
 
-    /// Radiance that Gaussian `i` sends under `light` to a camera that looks along unit direction `along`.
+    /// Radiance of Gaussian `i` under `light`, towards a camera that looks along unit direction `along`.
     pub fn outgoing(&self, i: usize, along: [f32; 3], light: &SurfaceShader<'_>) -> OutgoingRadiance {
         let mut row = [0.0f32; OutgoingRadiance::TOTAL.start];
         row[channel::NORMAL].copy_from_slice(&self.normal(i, &self.geometry(i), along).unit);
@@ -158,8 +158,8 @@ impl AttributeSource<'_> {
         light.shade(&self.surface(i, &row, along)).outgoing()
     }
 
-    /// Chain rule through the light of a Gaussian whose attributes are `row`: what `by_row` has for it is added to the
-    /// channels it is made of, to `by_mean`, the gradient by the projected mean, and to that of the light tables.
+    /// Chain rule through the light of a Gaussian with attributes `row`. Moves the gradient by the light in `by_row` to the
+    /// channels that the light depends on, to `by_mean` (the gradient by the projected mean) and to the light tables.
     pub fn light_backward(
         &self,
         view: &RasterCamera,
@@ -186,7 +186,7 @@ impl AttributeSource<'_> {
         }
         by_row[channel::METAL] += by.metal;
         by_row[channel::ROUGH] += by.rough;
-        // The gradient by the outgoing radiance has been passed on: its first channel now carries that by sheen.
+        // The gradient by the outgoing radiance is consumed; its first channel now carries the gradient by sheen.
         by_row[OutgoingRadiance::SHEEN_GRADIENT] = by.sheen;
         if by_row.len() >= channel::VISIBILITY {
             (0..3).for_each(|c| by_row[IncidentLight::BLOCKED.start + c] += by.blocked[c]);
@@ -202,8 +202,8 @@ impl AttributeSource<'_> {
         }
     }
 
-    /// Chain rule from a blended row's gradient (`by_row`, as many channels as were differentiated) into
-    /// the Gaussian's gradient row, but for albedo; geometry shared with the projection goes to `geometry_gradient`.
+    /// Chain rule from a blended row's gradient (`by_row`, the differentiated channels) to the Gaussian's gradient row,
+    /// except albedo. The gradient by geometry that the projection shares goes to `geometry_gradient`.
     pub fn write_backward(
         &self,
         view: &RasterCamera,
@@ -354,13 +354,13 @@ impl AttributeSource<'_> {
 struct Normal {
     unit: [f32; 3],
     length: f32,
-    /// Column of the rotation that was used and its sign.
+    /// The column of the rotation that gave the normal, and its sign.
     axis: Option<(usize, f32)>,
 }
 
 struct Radiance {
     colour: [f32; 3],
-    /// Where the clamp lets the gradient through.
+    /// True where the clamp passes the gradient.
     is_positive: [bool; 3],
     direction: [f32; 3],
     length: f32,

@@ -1,8 +1,8 @@
 //! Front-to-back blending of N channels in one tile (Eq. 4-5).
 //!
-//! A tile is worked on strip by strip (one row of 16 pixels = one vector). For a strip, the weights of the splats that
-//! reach it are found first; the G-buffer of the strip is then the small matrix product `attributes^T x weights`, four
-//! channels at a time so that the sums stay in registers. Everything a strip touches fits the L1 cache.
+//! A tile is processed strip by strip (one row of 16 pixels = one vector). For each strip, the first pass computes the
+//! weights of the splats that reach it; the G-buffer of the strip is then the small matrix product `attributes^T x weights`,
+//! four channels at a time so that the sums stay in registers. The data of a strip fits the L1 cache.
 
 use multiversion::multiversion;
 
@@ -12,8 +12,8 @@ use relume_layout::constants::{ALPHA_MAX, ALPHA_MIN, EarlyStop, TILE, TRANSMITTA
 
 /// The part of a splat that a strip needs.
 ///
-/// The exponent `0.5 d^T C d` is taken as a sum of two squares (the Cholesky factor of C): for needles the terms of the
-/// quadratic form cancel, and the sum of squares neither loses digits nor turns negative. With `C = [a b; b c]` it is
+/// The exponent `0.5 d^T C d` is computed as a sum of two squares (the Cholesky factor of C). For needle-shaped splats the
+/// terms of the quadratic form cancel; the sum of squares keeps its digits and cannot become negative. With `C = [a b; b c]` it is
 /// `0.5 ((sqrt(a) dx + b / sqrt(a) dy)^2 + dy^2 / yy)`, since `c - b^2 / a = 1 / yy`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LocalSplat {
@@ -47,7 +47,7 @@ impl LocalSplat {
         y as f32 + 0.5 - self.mean[1]
     }
 
-    /// Alpha before the cap in the strip at (`x`, `y`), 0 where below 1/255; `None` where it is so in every pixel.
+    /// Alpha before the cap in the strip at (`x`, `y`), 0 where below 1/255; `None` where it is 0 in every pixel.
     #[inline(always)]
     pub(super) fn alpha(&self, x: usize, y: usize) -> Option<Lanes> {
         let dy = self.dy(y);
@@ -82,11 +82,11 @@ pub(super) struct StripEntry {
     pub(super) local: u32,
     /// Alpha before the cap, 0 where below 1/255.
     pub(super) alpha: Lanes,
-    /// Transmittance in front.
+    /// Transmittance in front of the splat.
     pub(super) transmittance: Lanes,
 }
 
-/// Memory a thread reuses from tile to tile.
+/// Buffers that a thread reuses for each tile.
 #[derive(Debug, Default)]
 pub struct BlendScratch {
     pub(super) splats: Vec<LocalSplat>,
@@ -94,7 +94,7 @@ pub struct BlendScratch {
     weights: Vec<Lanes>,
 }
 
-/// A tile to blend: what is in it and where it is.
+/// A tile to blend: its splats and its position.
 #[derive(Debug, Clone, Copy)]
 pub struct TileJob<'a> {
     /// All splats.
@@ -107,7 +107,7 @@ pub struct TileJob<'a> {
     pub stored: usize,
     /// Top-left pixel.
     pub origin: (usize, usize),
-    /// When a pixel is left.
+    /// When blending stops at a pixel.
     pub early_stop: EarlyStop,
 }
 
@@ -139,7 +139,7 @@ pub(super) fn behind_splat(in_front: &Lanes, alpha: &Lanes) -> Lanes {
     Lanes::from_fn(|i| in_front.0[i] * (1.0 - capped(alpha.0[i])))
 }
 
-/// Whether a strip is left after `count` splats; every fourth is tested.
+/// True when blending stops at the strip after `count` splats; tested at every fourth splat.
 #[inline(always)]
 pub(super) fn is_finished(early_stop: EarlyStop, count: usize, transmittance: &Lanes) -> bool {
     early_stop == EarlyStop::WhenSaturated

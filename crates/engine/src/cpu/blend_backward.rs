@@ -1,12 +1,12 @@
 //! Backward pass of the blending in one tile.
 //!
-//! The weights are found again (cheaper than keeping them), splat by splat over the tile's rows, which are independent; a
-//! sweep from the last splat to the first then turns `s = A G^T`, one scalar a splat and pixel, into the gradient of
-//! alpha. All sums of a splat over its pixels are done while it is at hand, as whole vectors over the rows, and reduced
-//! once; a column's offset from the mean is the same in every row, so three moments (1, dy, dy^2) of the alpha gradient are
-//! enough to recover all six. The tile's gradient (a kilobyte a row at 16 channels) stays in the L1 cache meanwhile.
-//! Channels go four at a time, rows in the inner loop: with channels innermost the compiler vectorises across *them*, by
-//! gathers and scatters.
+//! The pass recomputes the weights (which is cheaper than storing them), splat by splat over the tile's rows, which are
+//! independent. A sweep from the last splat to the first then turns `s = A G^T`, one scalar per splat and pixel, into the
+//! gradient of alpha. All sums of a splat over its pixels are accumulated in one visit, as whole vectors over the rows, and
+//! reduced once. A column's offset from the mean is the same in every row, so three moments (1, dy, dy^2) of the alpha
+//! gradient suffice to recover all six. The tile's gradient (1 KB per row at 16 channels) stays in the L1 cache.
+//! The loops process four channels at a time, with rows innermost: with channels innermost the compiler vectorises across
+//! channels, by gathers and scatters.
 
 use multiversion::multiversion;
 
@@ -16,20 +16,20 @@ use relume_layout::constants::{ALPHA_MAX, TILE};
 
 /// Leading floats of a gradient row: projected mean (2), conic (3), opacity (1), absgrad (1), then the channels.
 ///
-/// Absgrad is the sum over pixels of the *length* of each one's gradient by the projected mean (AbsGS, Ye et al. 2024, takes
-/// absolute values by axis): gradients of opposite sign cancel in the mean's gradient and do not here.
+/// Absgrad is the sum over pixels of the *length* of each pixel's gradient by the projected mean (AbsGS, Ye et al. 2024, sums
+/// absolute values per axis). Gradients of opposite sign cancel in the mean's gradient but not in absgrad.
 pub const ROW_HEADER: usize = 7;
-/// Place of absgrad in a gradient row.
+/// Index of absgrad in a gradient row.
 pub const ABSGRAD: usize = ROW_HEADER - 1;
 
-/// Channels that are worked on together.
+/// Channels processed together.
 const BLOCK: usize = 4;
 
-/// Memory a thread reuses from tile to tile.
+/// Buffers that a thread reuses for each tile.
 #[derive(Debug, Default)]
 pub struct BackwardScratch {
     blend: BlendScratch,
-    /// Where each splat reaches a row, splat by splat.
+    /// The rows that each splat reaches, splat by splat.
     entries: Vec<RowEntry>,
     /// First entry of each splat, and the end.
     first_entry: Vec<usize>,
@@ -43,16 +43,16 @@ struct RowEntry {
     row: usize,
     /// Alpha before the cap, 0 where below 1/255.
     alpha: Lanes,
-    /// Transmittance in front.
+    /// Transmittance in front of the splat.
     transmittance: Lanes,
 }
 
 /// Front-to-back state of a tile's rows.
 struct Rows {
     transmittance: [Lanes; TILE],
-    /// Splats that reached the row.
+    /// Number of splats that reached the row.
     count: [u32; TILE],
-    /// Nothing further counts: saturated, or without a gradient.
+    /// True when later splats do not count: the row is saturated or has no gradient.
     is_done: [bool; TILE],
 }
 
@@ -73,7 +73,7 @@ pub fn blend_tile_backward(
     let blocks = channels.div_ceil(BLOCK);
     let is_done = load_gradient(gradient, gradient_stored, channels, scratch);
     find_entries(job, is_done, scratch);
-    // Sum of w_j s_j over the splats behind, by row.
+    // Sum of w_j s_j over the splats behind, per row.
     let mut behind = [Lanes::ZERO; TILE];
     for (local, target) in out.chunks_exact_mut(ROW_HEADER + channels).enumerate().rev() {
         let entries = scratch.first_entry[local]..scratch.first_entry[local + 1];
@@ -89,7 +89,7 @@ pub fn blend_tile_backward(
     }
 }
 
-/// Fills the scratch's gradient; tells which rows have none.
+/// Fills the scratch's gradient; returns which rows have none.
 #[inline(always)]
 fn load_gradient(
     gradient: &[f32],
@@ -112,7 +112,7 @@ fn load_gradient(
     is_empty
 }
 
-/// Fills the scratch's entries, as the forward pass found them ([`BlendScratch::find_entries`]).
+/// Fills the scratch's entries, as in the forward pass ([`BlendScratch::find_entries`]).
 #[inline(always)]
 fn find_entries(job: &TileJob<'_>, is_done: [bool; TILE], scratch: &mut BackwardScratch) {
     let mut rows = Rows { transmittance: [Lanes::ONE; TILE], count: [0; TILE], is_done };
@@ -136,7 +136,7 @@ fn find_entries(job: &TileJob<'_>, is_done: [bool; TILE], scratch: &mut Backward
     scratch.first_entry.push(scratch.entries.len());
 }
 
-/// `flow` becomes `s`, entry by entry: the gradient of the row times the splat's attributes.
+/// Sets `flow` to `s`, entry by entry: the gradient of the row times the splat's attributes.
 #[inline(always)]
 fn project_gradient(
     entries: &[RowEntry],

@@ -1,4 +1,4 @@
-//! Shading of a whole view, forward and backward.
+//! Images of both branches of a view from its G-buffer, forward and backward.
 
 use rayon::prelude::*;
 
@@ -24,20 +24,20 @@ pub struct BranchImages {
 /// Extra gradient of one pixel's G-buffer, from losses on the buffers themselves.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct BufferGradient {
-    /// By blended (not normalised) normal.
+    /// Gradient by blended (not normalised) normal.
     pub normal: [f32; 3],
-    /// By blended plane distance.
+    /// Gradient by blended plane distance.
     pub plane: f32,
-    /// By blended metalness.
+    /// Gradient by blended metalness.
     pub metal: f32,
-    /// By blended roughness.
+    /// Gradient by blended roughness.
     pub rough: f32,
-    /// By coverage.
+    /// Gradient by coverage.
     pub coverage: f32,
 }
 
-/// The surface seen by pixel (`x`, `y`) and its coverage, or `None` where that is too small to shade. A pass whose Gaussians
-/// were shaded before they were blended has no incident light in the pixel.
+/// The surface in pixel (`x`, `y`) and its coverage, or `None` where coverage is too small to shade. The surface has no
+/// incident light in a pass whose Gaussians were shaded before blending.
 pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
     let base = pass.locate(x, y, pass.channels.stored());
     let at = |c: usize| pass.gbuffer[base + c * LANES];
@@ -76,7 +76,7 @@ pub fn surface_at(pass: &Pass, x: usize, y: usize) -> Option<(Surface, f32)> {
     Some((surface, coverage))
 }
 
-/// Radiance blended in pixel (`x`, `y`) of a pass whose Gaussians were shaded before, or `None` where coverage is too small.
+/// Radiance in pixel (`x`, `y`) of a pass whose Gaussians were shaded before blending, or `None` where coverage is too small.
 fn blended_radiance(pass: &Pass, x: usize, y: usize) -> Option<[f32; 3]> {
     let coverage = pass.at(x, y, channel::COVERAGE);
     let light = || std::array::from_fn(|c| pass.at(x, y, OutgoingRadiance::TOTAL.start + c) / coverage);
@@ -93,8 +93,8 @@ impl SurfaceShader<'_> {
         Some(self.shade(&surface).outgoing().total())
     }
 
-    /// Shades every pixel of a pass and composites both branches over `background`. The pass is full or, where its Gaussians
-    /// were shaded, has materials.
+    /// Shades every pixel of a pass and composites both branches over `background`. The pass carries all channels or, where
+    /// its Gaussians were shaded before blending, materials.
     pub fn images(&self, pass: &Pass, background: [f32; 3]) -> BranchImages {
         let (w, h) = (pass.view.width, pass.view.height);
         let mut out = BranchImages { physical: vec![[0.0; 3]; w * h], radiance: vec![[0.0; 3]; w * h] };
@@ -163,7 +163,7 @@ impl SurfaceShader<'_> {
         out.add(channel::COVERAGE, by_coverage);
     }
 
-    /// Chain rule through the display of light that was blended; returns the gradient by coverage.
+    /// Chain rule through the display of blended light; returns the gradient by coverage.
     fn blended_backward(
         &self,
         pass: &Pass,
@@ -175,7 +175,7 @@ impl SurfaceShader<'_> {
         let coverage = pass.at(x, y, channel::COVERAGE);
         let mut by_coverage = 0.0;
         for c in 0..3 {
-            // Light is a buffer divided by coverage, and the coverage it is multiplied by again is inside of `g`.
+            // Light is a buffer divided by coverage; `g` contains the coverage that multiplies it again.
             let shown = self.display(light[c]);
             let by_light = self.display_backward(light[c], shown, g[c] * coverage);
             by_coverage += g[c] * shown - by_light * light[c] / coverage;
@@ -232,7 +232,7 @@ impl SurfaceShader<'_> {
     }
 }
 
-/// One pixel's place in the G-buffer gradient.
+/// One pixel of the G-buffer gradient.
 struct PixelGradient<'a> {
     target: &'a mut [f32],
     base: usize,
@@ -255,8 +255,8 @@ impl PixelGradient<'_> {
     }
 }
 
-/// The gradient of the first `count` channels of `pass`, filled by `write(i, (x, y), pixel, sums)` for each pixel, of row-major
-/// index `i`; and the sums of each row of tiles, which begin as `sums()`.
+/// The gradient of the first `count` channels of `pass`, and the sums of each row of tiles, which start as `sums()`. The
+/// function calls `write(i, (x, y), pixel, sums)` for each pixel; `i` is its row-major index.
 fn write_pixels<S: Send>(
     pass: &Pass,
     count: usize,
@@ -296,7 +296,7 @@ fn radiance_backward(background: [f32; 3], by_image: Option<&[f32; 3]>, out: &mu
     out.add(channel::COVERAGE, (0..3).map(|c| -g[c] * background[c]).sum());
 }
 
-/// The radiance branch alone, for passes that carry no material.
+/// The radiance branch alone, for passes without material.
 pub fn radiance_image(pass: &Pass, background: [f32; 3]) -> Vec<[f32; 3]> {
     let w = pass.view.width;
     let pixel = |i: usize| radiance_pixel(pass, i % w, i / w, background);

@@ -1,11 +1,11 @@
-//! Density control on CPU arrays: what a round is planned from, and the rebuilding of the model as planned.
+//! Density control on CPU arrays: the signals from which a round is planned, and the rebuilding of the model by the plan.
 
 use crate::cpu::{rotation, sigmoid};
 use crate::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin, TrainState};
 use relume_layout::constants::{HALF_OPACITY_EXPONENT, HALF_SCALE_ACROSS, HALF_SCALE_ALONG};
 use relume_scene::{Field, Gaussians};
 
-/// What a round is planned from.
+/// The signals from which a round is planned.
 pub fn signals(state: &TrainState) -> DensitySignals {
     let g = &state.model.gaussians;
     let rows = |field: Field| g.field(field).as_chunks::<3>().0.to_vec();
@@ -17,7 +17,7 @@ pub fn signals(state: &TrainState) -> DensitySignals {
     }
 }
 
-/// Rebuilds the model and its moments as `plan` says, and clears the statistics.
+/// Rebuilds the model and its moments by `plan`, and clears the statistics.
 pub fn rebuild(state: &mut TrainState, plan: &DensityPlan) {
     let kept = |g: &PlannedGaussian| (g.origin == SplitOrigin::Keep).then_some(g.source as usize);
     state.moments.gather(&plan.gaussians.iter().map(kept).collect::<Vec<_>>());
@@ -38,8 +38,8 @@ fn rebuilt(old: &Gaussians, plan: &DensityPlan) -> Gaussians {
     new
 }
 
-/// Turns Gaussian `i` into one half of itself: moved by half a standard deviation along its longest axis (`side` is 1 or
-/// -1), shorter there, and with less opacity, so that both halves together cover what the whole covered.
+/// Turns Gaussian `i` into one half of itself: moves it by half a standard deviation along its longest axis (`side` is 1 or
+/// -1), shortens that axis and reduces the opacity, so that both halves together cover the area of the whole.
 fn halve(g: &mut Gaussians, i: usize, side: f32) {
     let scale: [f32; 3] = g.get(Field::LogScale, i);
     let axis = if scale[0] >= scale[1] && scale[0] >= scale[2] {

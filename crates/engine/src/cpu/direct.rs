@@ -1,13 +1,13 @@
-//! What a surface sends of the lights that were taken out of the tables (docs/MODEL.md section 4), forward and backward.
+//! Shading by the dominant lights, which the tables do not contain (docs/MODEL.md, section 4), forward and backward.
 
 use crate::cpu::project::{normalise, normalise_backward};
 use crate::cpu::surface::{Surface, SurfaceGradient, SurfaceShader, dot3};
 use relume_scene::light::{DIELECTRIC_F0, LightTables, TableLight};
 
-/// Least `alpha = roughness^2` of a highlight.
+/// Smallest `alpha = roughness^2` of a highlight.
 const MIN_GGX_ALPHA: f32 = 1e-4;
 
-/// Lights at a surface.
+/// Light of the dominant lights at a surface.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Direct {
     /// Irradiance.
@@ -16,12 +16,12 @@ pub(super) struct Direct {
     pub(super) specular: [f32; 3],
 }
 
-/// Gradient of what lights add, by what they do not have alone.
+/// Gradient of the light that dominant lights add, by the inputs that they share with other terms.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct DirectGradient {
-    /// By the unit normal turned to the camera, `n . v` left out.
+    /// Gradient by the unit normal turned to the camera, without the path through `n . v`.
     pub(super) normal: [f32; 3],
-    /// By `n . v`.
+    /// Gradient by `n . v`.
     pub(super) nov: f32,
 }
 
@@ -82,7 +82,7 @@ impl Highlight {
         }
     }
 
-    /// Reflectance times `n.w`, Fresnel's part left out.
+    /// Reflectance times `n.w`, without Fresnel's part.
     fn lobe(&self) -> f32 {
         self.distribution * self.shadowing
     }
@@ -91,8 +91,8 @@ impl Highlight {
         f0 + (1.0 - f0) * self.fresnel
     }
 
-    /// Chain rule from the gradient by `n.w`, by [`Self::lobe`] and by Fresnel's part; what has no field in `out` is
-    /// returned.
+    /// Chain rule from the gradients by `n.w`, by [`Self::lobe`] and by Fresnel's part. Returns the gradients that have no
+    /// field in `out`.
     fn backward(
         &self,
         [by_nol, by_lobe, by_fresnel]: [f32; 3],
@@ -137,7 +137,7 @@ fn head_on(s: &Surface, c: usize) -> f32 {
 }
 
 impl SurfaceShader<'_> {
-    /// What the lights beside the tables add to a surface of unit `normal` turned to the camera; none: nothing.
+    /// Light that the dominant lights add at a surface with unit `normal` turned to the camera; `None` without lights.
     pub(super) fn direct(&self, s: &Surface, normal: [f32; 3], nov: f32) -> Option<Direct> {
         if self.tables.lights.is_empty() {
             return None;
@@ -159,7 +159,7 @@ impl SurfaceShader<'_> {
     }
 
     /// Chain rule through [`Self::direct`]: `by_irradiance` and `by_specular` are the gradients by its parts. Adds to `out`
-    /// (its view without what goes through `n . v`) and to the lights of `tables`.
+    /// (to its `view` without the path through `n . v`) and to the lights of `tables`.
     pub(super) fn direct_backward(
         &self,
         s: &Surface,

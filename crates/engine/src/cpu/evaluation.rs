@@ -1,4 +1,4 @@
-//! What a training state shows and measures, without a gradient: what decisions on the host are made from.
+//! Images and measurements of a training state, without gradients. Decisions on the host use them.
 
 use std::borrow::Cow;
 
@@ -13,12 +13,12 @@ use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables};
 use relume_scene::{Camera, ColumnShift, MAX_LIGHTS, SplitLight};
 
-/// A state as the kernels read it, without learned indirect light and under the light unturned.
+/// The state as kernel input, without learned indirect light and with the light at rotation 0.
 pub fn source(state: &TrainState) -> AttributeSource<'_> {
     training::source(state, &NO_INDIRECT_BASIS, LightRotation::default())
 }
 
-/// The physically based branch as `photo` would show it, display-referred.
+/// The physically based branch from the camera and under the light of `photo`, display-referred.
 pub fn physical_image(
     state: &TrainState,
     operators: &EnvOperators,
@@ -54,7 +54,7 @@ pub fn physical_error(
     mean_squared_error(&physical_image(state, operators, photo, branches, background), photo)
 }
 
-/// The radiance branch as a photograph of `camera` would show it, display-referred.
+/// The radiance branch seen by `camera`, display-referred.
 pub fn radiance(state: &TrainState, camera: &Camera, background: [f32; 3]) -> Vec<[f32; 3]> {
     radiance_image(&colour_pass(state, camera), background)
 }
@@ -64,7 +64,7 @@ pub fn radiance_error(state: &TrainState, photo: &Photo, background: [f32; 3]) -
     mean_squared_error(&radiance(state, &photo.camera, background), photo)
 }
 
-/// Summed blending weight, in pixels, that each Gaussian has in one photograph of `camera`.
+/// Summed blending weight of each Gaussian, in pixels, in the image of `camera`.
 pub fn blending_weights(state: &TrainState, camera: &Camera) -> Vec<f32> {
     let pass = colour_pass(state, camera);
     let mut out = vec![0.0; state.model.gaussians.len()];
@@ -74,7 +74,7 @@ pub fn blending_weights(state: &TrainState, camera: &Camera) -> Vec<f32> {
     out
 }
 
-/// Outward unit normals of all Gaussians, as the last measurement of visibility has them.
+/// Outward unit normals of all Gaussians, by the last measurement of visibility.
 pub fn normals(state: &TrainState) -> Vec<[f32; 3]> {
     outward_normals(&source(state))
 }
@@ -84,13 +84,13 @@ pub fn arriving(state: &TrainState, lights: &[SplitLight]) -> Vec<[f32; MAX_LIGH
     cpu::arriving(&source(state), lights)
 }
 
-/// Exponent of the display curve's middle part: what a mean of displayed colours is a mean of.
+/// Exponent that approximates the display curve, for means of displayed colours.
 const DISPLAY_EXPONENT: f32 = 1.0 / 2.2;
 
-/// Irradiance of every Gaussian along its normal in `normals`: the sky through its visibility, and what is gathered.
+/// Irradiance of every Gaussian along its normal in `normals`: the sky through its visibility, plus the gathered light.
 ///
-/// Where the light turns, it is the irradiance under which a matte surface would show the mean of the colours, as
-/// displayed, that it shows in the photographs.
+/// Where the light rotates between photographs, it is the irradiance under which a matte surface would have the mean of its
+/// displayed colours in the photographs.
 pub fn irradiance(
     state: &TrainState,
     operators: &EnvOperators,

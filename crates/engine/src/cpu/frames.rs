@@ -1,45 +1,47 @@
-//! Frames from the CPU engine: a model that is ready to be rendered, and the tiers that shade from tables of the light.
+//! Frames of the CPU engine: a model prepared for rendering, and the tiers that shade from light tables.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
+use crate::cpu::monte_carlo::{self, Sampling};
 use crate::cpu::project::Splat;
 use crate::cpu::resolve::resolve;
+use crate::cpu::sharp_lights;
 use crate::cpu::tiles::TileLists;
 use crate::cpu::{
     AttributeSource, OccluderBvh, Pass, Probes, SurfaceShader, Transport, arriving, attribute_rows,
     outward_normals, project_all,
 };
 use crate::{BOUNCES, ColourMode, FrameJob, NO_INDIRECT_BASIS, PROBE_DIRECTIONS};
-use crate::{Frame, ProbeSettings, RasterCamera, fibonacci_sphere, indirect_basis};
+use crate::{Frame, ProbeSettings, RasterCamera, RayLight, fibonacci_sphere, indirect_basis};
 use relume_layout::channel::{self, Channels, OutgoingRadiance, RowLight};
 use relume_layout::constants::EarlyStop;
 use relume_scene::Output;
 use relume_scene::light::LightTables;
 use relume_scene::{Field, IndirectForm, MAX_LIGHTS, Model, ShadeAt, SplitLight};
 
-/// A model ready to be rendered. What does not depend on the light is made when first needed.
+/// A model prepared for rendering. Data that does not depend on the light is computed on first use.
 pub struct CpuFrameRenderer {
     model: Arc<Model>,
     transport: OnceLock<Transport>,
     occluders: OnceLock<OccluderBvh>,
 }
 
-/// A light as the CPU engine shades with it.
+/// A light prepared for the CPU engine.
 pub struct CpuFrameLight {
     /// Tables of the light.
     pub tables: LightTables,
-    /// Irradiance and mean blocked radiance that the model's surfaces send each other, by Gaussian.
+    /// Irradiance and mean blocked radiance from the model's other surfaces, per Gaussian.
     gathered: Vec<[f32; 6]>,
-    /// Share of each light beside the tables that arrives, by Gaussian.
+    /// Share of each dominant light that arrives, per Gaussian.
     arriving: Vec<[f32; MAX_LIGHTS]>,
     indirect_basis: [[f32; 3]; 16],
 }
 
 impl CpuFrameRenderer {
-    /// Takes a checked model in.
+    /// Prepares a checked model.
     pub fn new(model: Arc<Model>) -> Self {
         Self { model, transport: OnceLock::new(), occluders: OnceLock::new() }
     }
@@ -49,7 +51,7 @@ impl CpuFrameRenderer {
         &self.model
     }
 
-    /// The light of `tables`, with what the model's surfaces send each other under it.
+    /// The light of `tables`, with the light that the model's surfaces send each other under it.
     pub fn prepare_light(&self, tables: LightTables) -> CpuFrameLight {
         let lights: Vec<SplitLight> = tables.lights.iter().map(SplitLight::from).collect();
         let arriving = arriving(&self.source(&[], &[], &NO_INDIRECT_BASIS), &lights);
@@ -95,6 +97,21 @@ impl CpuFrameRenderer {
         }
     }
 
+    /// Renders `job` with light that is looked for along `rays`, which are those of the environment that `light` was prepared of.
+    pub fn render_by_rays(&self, job: &FrameJob<'_>, light: &CpuFrameLight, rays: &RayLight<'_>) -> Frame {
+        let source = self.lit_source(light);
+        match *rays {
+            RayLight::Sharp { lights, rest } => {
+                sharp_lights::render(job, (&source, &self.shader(rest)), lights, self.occluders())
+            }
+            RayLight::Sampled { environment, samples, seed, pixels_before } => {
+                let sampling = Sampling { samples, seed, pixels_before };
+                let lit = (&source, &self.shader(&light.tables));
+                monte_carlo::render(job, lit, environment, sampling, self.occluders())
+            }
+        }
+    }
+
     fn source<'a>(
         &'a self,
         gathered: &'a [[f32; 6]],
@@ -119,7 +136,7 @@ fn colour(source: &AttributeSource<'_>, view: RasterCamera, shader: &SurfaceShad
     let splats = project_all(source, &view);
     let tiles = TileLists::new(view.width, view.height, &splats);
     let stop = EarlyStop::WhenSaturated;
-    // Of a band of a frame most splats reach no tile.
+    // In a band of a frame most splats reach no tile.
     let shown: Vec<usize> = (0..splats.len()).filter(|i| !tiles.slots_of_splat(*i).is_empty()).collect();
     let shaded: Vec<Splat> = shown.iter().map(|i| splats[*i]).collect();
     let material = Channels::Material.stored();
@@ -145,7 +162,7 @@ fn colour(source: &AttributeSource<'_>, view: RasterCamera, shader: &SurfaceShad
     Frame { width: view.width as u32, height: view.height as u32, planes }
 }
 
-/// Every output of `job`, where the model was trained to be shaded.
+/// Every output of `job`, shaded where the model's options place the shading.
 fn standard(source: &AttributeSource<'_>, job: &FrameJob<'_>, shader: &SurfaceShader<'_>) -> Frame {
     let coefficients = source.gaussians.width(Field::Visibility);
     let channels = Channels::Full(coefficients);
@@ -156,7 +173,7 @@ fn standard(source: &AttributeSource<'_>, job: &FrameJob<'_>, shader: &SurfaceSh
     })
 }
 
-/// Radiance that was blended in pixel (`x`, `y`), of some coverage, of a pass whose Gaussians were shaded before.
+/// Radiance in pixel (`x`, `y`), whose coverage is above 0, of a pass whose Gaussians were shaded before blending.
 pub fn blended_radiance(pass: &Pass, (x, y): (usize, usize)) -> OutgoingRadiance {
     let inverse = 1.0 / pass.at(x, y, channel::COVERAGE);
     let at = |first: usize, c: usize| pass.at(x, y, first + c) * inverse;

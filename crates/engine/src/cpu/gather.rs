@@ -1,5 +1,5 @@
-//! Light that bounces: what each Gaussian receives from the Gaussians that block its directions, under one light
-//! (docs/MODEL.md section 6).
+//! Interreflection: the light that each Gaussian receives from the Gaussians that block its directions, under one light
+//! (docs/MODEL.md, section 6).
 
 use rayon::prelude::*;
 
@@ -12,27 +12,27 @@ use relume_scene::{Field, VisibilityForm};
 
 type Vec3 = [f32; 3];
 
-/// Which Gaussians block the directions of each Gaussian; independent of the light.
+/// For each Gaussian, the Gaussians that block its directions; independent of the light.
 #[derive(Debug, Clone)]
 pub struct Transport {
     normals: Vec<Vec3>,
-    /// Per Gaussian: first link, and the end.
+    /// First link of each Gaussian, and the end.
     first: Vec<u32>,
     links: Vec<Link>,
 }
 
 #[derive(Debug, Clone, Copy)]
 struct Link {
-    /// The Gaussian seen.
+    /// The blocking Gaussian.
     from: u32,
-    /// `(1 - V) (n . w)+ 4 pi / D`: what its radiance adds to the irradiance.
+    /// `(1 - V) (n . w)+ 4 pi / D`: the factor of its radiance in the irradiance.
     irradiance: f32,
     /// `(1 - V)`, for the mean radiance over blocked directions of the upper hemisphere.
     share: f32,
 }
 
 impl Transport {
-    /// Links from measured probes; `normals` are the outward ones the probes were made with.
+    /// Links from measured probes; `normals` are the outward normals of the measurement.
     pub fn new(probes: &Probes, normals: Vec<Vec3>) -> Self {
         let weight = 4.0 * std::f32::consts::PI / probes.directions.len().max(1) as f32;
         let rows: Vec<Vec<Link>> = (0..normals.len())
@@ -110,8 +110,8 @@ impl Transport {
     }
 }
 
-/// Irradiance of Gaussian `i`, whose outward unit normal is `normal`, from the sky through its own visibility and from the
-/// lights beside the tables as far as they arrive.
+/// Irradiance of Gaussian `i`, with outward unit normal `normal`: the sky through its visibility, plus the arriving shares of
+/// the dominant lights.
 pub fn sky_irradiance(source: &AttributeSource<'_>, tables: &LightTables, normal: Vec3, i: usize) -> Vec3 {
     let taps = tables.diffuse_grid.lookup(normal);
     let c = source.gaussians.row(Field::Visibility, i);

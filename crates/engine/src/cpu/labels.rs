@@ -1,4 +1,4 @@
-//! Backward transmittance as a pseudo label (article Eq. 14-15): how empty the ray behind each Gaussian is.
+//! Backward transmittance, the transmittance behind each Gaussian, as a pseudo label (article Eq. 14-15).
 
 use multiversion::multiversion;
 use rayon::prelude::*;
@@ -17,7 +17,7 @@ pub struct BackwardLabel {
     pub weight: f32,
 }
 
-/// Labels by splat. All splats count, whatever early stop the pass itself used.
+/// Labels per splat. All splats count, independent of the pass's early stop.
 pub fn backward_labels(pass: &Pass) -> Vec<BackwardLabel> {
     let per_tile: Vec<Vec<[f32; 2]>> = (0..pass.tiles.len())
         .into_par_iter()
@@ -66,7 +66,7 @@ fn label_tile(
     scratch.gather(job);
     for row in 0..rows {
         scratch.find_entries(job.origin.0, job.origin.1 + row, EarlyStop::Never);
-        // From back to front, the running product is That (Eq. 14): nothing is divided.
+        // From back to front, the running product is That (Eq. 14), without a division.
         let mut behind = Lanes::ONE;
         for e in scratch.entries.iter().rev() {
             let mut sums = [0.0f32; 2];

@@ -1,18 +1,18 @@
-//! The diffuse term of one surface, a pixel's or a Gaussian's (docs/MODEL.md section 4), forward and backward.
+//! The diffuse term of one surface, in a pixel or at a Gaussian (docs/MODEL.md, section 4), forward and backward.
 
 use crate::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader, dot3};
 use relume_scene::light::{LightTables, Taps, UNOCCLUDED_SH0, nrsh_factor, sh_eval, sh_eval_with_gradient};
 
 const INV_PI: f32 = std::f32::consts::FRAC_1_PI;
 
-/// A diffuse term and what its backward pass needs.
+/// A diffuse term with the values that its backward pass needs.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Lambert {
     /// Radiance.
     pub(super) radiance: [f32; 3],
     normal: [f32; 3],
     irradiance: [f32; 3],
-    /// Irradiance before the clamp, and per tap.
+    /// Irradiance before the clamp.
     irradiance_raw: [f32; 3],
     tap_irradiance: [[f32; 3]; 4],
     taps: Taps<f32>,
@@ -57,7 +57,7 @@ impl SurfaceShader<'_> {
         (self.squash(raw), raw)
     }
 
-    /// The diffuse term of `s` for its unit `normal` turned to the camera.
+    /// The diffuse term of `s`, with its unit `normal` turned to the camera.
     pub(super) fn lambert(&self, s: &Surface, normal: [f32; 3]) -> Lambert {
         // Four tabulated normals around n, each a dot product with the visibility coefficients.
         let taps = self.tables.diffuse_grid.lookup(normal);

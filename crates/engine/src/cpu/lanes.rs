@@ -1,7 +1,7 @@
 //! Sixteen pixels of a tile row at once, as plain arrays that the compiler turns into vector registers.
 //!
-//! Everything here is `inline(always)` so that it takes on the CPU features of the kernel it is used in
-//! (kernels are compiled once per feature set by `multiversion` and chosen at run time).
+//! Everything here is `inline(always)`, so that it is compiled with the CPU features of the calling kernel (`multiversion`
+//! compiles each kernel once per feature set and chooses at run time).
 
 /// Values in a vector: pixels of a tile row, or Gaussians.
 pub const LANES: usize = 16;
@@ -35,8 +35,8 @@ impl Lanes {
         Self(out)
     }
 
-    /// `self + a * b`. Product and sum round separately: fusing them would be faster where a CPU can, and would
-    /// give other bytes than on one that cannot.
+    /// `self + a * b`. Product and sum round separately: a fused operation would be faster on CPUs that have it, but the bytes
+    /// would differ from those of other CPUs.
     #[inline(always)]
     pub fn add_product(&mut self, a: f32, b: &Self) {
         for i in 0..LANES {
@@ -83,8 +83,8 @@ impl Lanes {
 
 /// [`Lanes::sum`] of each of four.
 ///
-/// A call of its own: inlined behind a loop that fills the four, the compiler carries the sums' tree into that loop and
-/// vectorises across the four, by shuffles and gathers.
+/// Not inlined: behind a loop that fills the four, the compiler would move the sums' tree into that loop and vectorise across
+/// the four, by shuffles and gathers.
 #[inline(never)]
 pub fn totals(v: &[Lanes; 4]) -> [f32; 4] {
     v.each_ref().map(Lanes::sum)
@@ -93,8 +93,8 @@ pub fn totals(v: &[Lanes; 4]) -> [f32; 4] {
 /// `e^x` for x <= 0, relative error below 3e-7; 0 below -87.
 ///
 /// `2^round(t) * 2^fraction`, the fraction by a degree-6 polynomial, rounding by the 1.5 * 2^23 trick, so
-/// that no call leaves the vector registers. The last bits of the shifted number are the rounded one, where its exponent
-/// goes: no conversion, which in Rust saturates and so takes comparisons of its own.
+/// that everything stays in vector registers. The last bits of the shifted number hold the rounded value at the position of
+/// the exponent. This avoids a conversion, which in Rust saturates and needs comparisons.
 #[inline(always)]
 pub fn exp_negative(x: f32) -> f32 {
     const MAGIC: f32 = 12_582_912.0;

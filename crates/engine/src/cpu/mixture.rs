@@ -1,7 +1,7 @@
 //! Albedo as a mixture of prototypes (article Eq. 23), sixteen Gaussians in SIMD lanes, forward and backward.
 //!
-//! Scores are turned from rows to lanes, one lane a Gaussian, so that each one's sums are taken in the order of its
-//! prototypes whatever the registers' width.
+//! Scores are transposed from rows to lanes, one lane per Gaussian, so that each Gaussian's sums have the order of its
+//! prototypes at every register width.
 
 use std::ops::Range;
 
@@ -12,19 +12,19 @@ use crate::cpu::lanes::{LANES, Lanes, exp_negative};
 use relume_layout::channel;
 use relume_scene::Field;
 
-/// Memory a thread reuses from block to block.
+/// Buffers that a thread reuses for each block.
 #[derive(Debug, Default)]
 pub(super) struct MixtureScratch {
-    /// Scores, then shares: a lane a Gaussian.
+    /// Scores, then shares; one lane per Gaussian.
     shares: Vec<Lanes>,
     /// Gradient by share, then by score.
     by_scores: Vec<Lanes>,
-    /// Prototypes, clamped to what can be shown.
+    /// Prototypes, clamped to [0, 1].
     palette: Vec<[f32; 3]>,
 }
 
 impl MixtureScratch {
-    /// Finds the shares of the prototypes of up to sixteen Gaussians and returns their unclamped albedos, a lane each.
+    /// Computes the prototype shares of up to sixteen Gaussians and returns their unclamped albedos, one lane each.
     fn mix(&mut self, source: &AttributeSource<'_>, gaussians: &[u32]) -> [Lanes; 3] {
         self.palette.clear();
         self.palette.extend(source.prototypes.iter().map(|a| a.map(|v| v.clamp(0.0, 1.0))));
@@ -56,7 +56,7 @@ impl MixtureScratch {
         }
     }
 
-    /// Gradient by unclamped albedo of each of `gaussians`, from their rows' gradients; 0 without one.
+    /// Gradient by unclamped albedo of each Gaussian, from its row's gradient; 0 without a gradient.
     fn by_albedo(albedo: &[Lanes; 3], by_rows: &[Option<&[f32]>]) -> [Lanes; 3] {
         let mut by_albedo = [Lanes::ZERO; 3];
         for (lane, row) in by_rows.iter().enumerate() {
@@ -69,8 +69,8 @@ impl MixtureScratch {
         by_albedo
     }
 
-    /// Adds the gradients by residual and scores of `gaussians` to their gradient rows, `width` floats each, of which
-    /// those fields take the ranges given.
+    /// Adds the gradients by residual and scores of `gaussians` to their gradient rows of `width` floats, in the given ranges
+    /// of those fields.
     pub(super) fn backward(
         &mut self,
         source: &AttributeSource<'_>,
@@ -85,7 +85,7 @@ impl MixtureScratch {
         self.by_scores.clear();
         self.by_scores.resize(self.shares.len(), Lanes::ZERO);
         blend_backward(&self.shares, &self.palette, &by_albedo, &mut self.by_scores);
-        // What is not seen gets nothing, not even zero times something that is not a number.
+        // Gaussians without a row are skipped: zero times NaN would not be 0.
         let seen = rows.chunks_exact_mut(width).zip(by_rows).enumerate().filter(|(_, (_, by))| by.is_some());
         for (lane, (row, _)) in seen {
             row[residuals.clone()].iter_mut().zip(&by_albedo).for_each(|(o, g)| *o += g.0[lane]);
@@ -171,7 +171,7 @@ mod tests {
         g
     }
 
-    /// Albedos by blocks of sixteen and one by one.
+    /// Albedos in blocks of sixteen, and one by one.
     fn both(g: &Gaussians) -> [Vec<[f32; 3]>; 2] {
         let prototypes =
             [[0.5, 0.4, 0.3], [0.1, 1.4, 0.3], [0.9, -0.2, 0.1], [0.1, 0.2, 0.3], [0.7, 0.7, 0.6]];

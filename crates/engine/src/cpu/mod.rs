@@ -1,8 +1,8 @@
 //! The native CPU engine: f32, tiles, sixteen pixels at a time, rayon over tiles and Gaussians.
 //!
-//! The same inputs give the same bytes for any number of threads: work is split by tile or Gaussian, never by thread,
-//! and every sum across tiles is taken in a fixed order. Kernels round products and sums separately: the bytes do not depend
-//! on the CPU features found.
+//! The same inputs give the same bytes for any number of threads: work is split by tile or Gaussian, never by thread, and
+//! every sum across tiles has a fixed order. Kernels round products and sums separately, so the bytes do not depend on the
+//! features of the CPU.
 
 mod adam;
 mod attributes;
@@ -19,15 +19,18 @@ mod labels;
 mod lambert;
 mod lanes;
 mod mixture;
+mod monte_carlo;
 pub mod objective;
 mod occluder;
 mod pass;
+mod pixel_light;
 mod point;
 mod probes;
 mod project;
 mod rays;
 mod resolve;
 mod shadows;
+mod sharp_lights;
 mod surface;
 mod surface_shader;
 mod tiles;

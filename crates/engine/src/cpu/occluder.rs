@@ -1,4 +1,4 @@
-//! A Gaussian as an occluder: its orthographic footprint on the plane across a direction.
+//! A Gaussian as an occluder: its orthographic footprint on the plane perpendicular to a direction.
 
 use rayon::prelude::*;
 
@@ -17,10 +17,10 @@ pub(super) fn dot(a: Vec3, b: Vec3) -> f32 {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Occluder {
     pub(super) mean: Vec3,
-    /// Scaled axes, as rows.
+    /// Axes times standard deviations, as rows.
     pub(super) axes: [Vec3; 3],
     pub(super) opacity: f32,
-    /// `ln(255 opacity)`: beyond this exponent alpha is below 1/255.
+    /// `ln(255 opacity)`: at a larger exponent alpha is below 1/255.
     pub(super) reach: f32,
 }
 
@@ -87,13 +87,13 @@ impl Footprint {
         (power <= self.reach).then(|| (self.opacity * exp_negative(-power.max(0.0))).min(ALPHA_MAX))
     }
 
-    /// Half the sides of the box around where alpha is 1/255 or more.
+    /// Half the sides of the bounding box of alpha >= 1/255.
     pub(super) fn extent(&self) -> [f32; 2] {
         self.spread.map(|s| (2.0 * self.reach * s).sqrt())
     }
 }
 
-/// Added to both variances of a footprint, whose sum is `trace`: a disc seen edge-on would have a width of 0.
+/// Addend to both variances of a footprint, whose sum is `trace`: without it a disc seen edge-on would have width 0.
 pub(super) fn widening(trace: f32) -> f32 {
     1e-4 * trace + 1e-14
 }

@@ -1,4 +1,4 @@
-//! One rasterisation: project, sort, bin and blend; and the way back to the parameters.
+//! One rasterisation: project, sort, bin and blend; and the backward pass to the parameters.
 
 use crate::RasterCamera;
 use rayon::prelude::*;
@@ -17,9 +17,9 @@ use relume_layout::constants::{EarlyStop, TILE};
 use relume_scene::light::LightTables;
 use relume_scene::{Field, IndirectForm};
 
-/// Gaussians a task takes; fixed, so that sums come out the same for any number of threads.
+/// Gaussians per task; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 512;
-/// Tasks that differentiate the shading, each with a gradient of the light tables of its own; fixed, likewise.
+/// Number of tasks that differentiate the shading, each with its own gradient of the light tables; fixed for the same reason.
 const SHADING_TASKS: usize = 16;
 
 /// A rasterised view: the G-buffer and everything its backward pass needs.
@@ -31,9 +31,9 @@ pub struct Pass {
     pub splats: Vec<Splat>,
     /// Their tiles.
     pub tiles: TileLists,
-    /// Channels carried.
+    /// Channels of the pass.
     pub channels: Channels,
-    /// Light carried, where there are channels for it.
+    /// Kind of light in the rows, where the channels include it.
     pub light: RowLight,
     /// Attribute rows by splat, `channels.stored()` floats each.
     pub attributes: Vec<f32>,
@@ -57,7 +57,7 @@ impl Pass {
         Self::blend(view, (splats, tiles), channels, source.row_light(), attributes, early_stop)
     }
 
-    /// Blends given attribute rows over tiles of these splats; for callers that make their own.
+    /// Blends the given attribute rows over tiles of these splats, for callers that compute rows themselves.
     pub fn blend(
         view: RasterCamera,
         (splats, tiles): (Vec<Splat>, TileLists),
@@ -97,8 +97,8 @@ impl Pass {
         self.gbuffer[self.locate(x, y, self.channels.stored()) + channel * LANES]
     }
 
-    /// Gradients of all parameters from that of the first `count` G-buffer channels, laid out as the G-buffer
-    /// with `stored` channels a pixel. What the light gets from Gaussians is added to `by_tables`; `env_raw` is not touched.
+    /// Gradients of all parameters from that of the first `count` G-buffer channels, laid out as the G-buffer with `stored`
+    /// channels per pixel. The gradient of the light tables through Gaussians is added to `by_tables`; `env_raw` is unchanged.
     pub fn backward(
         &self,
         source: &AttributeSource<'_>,
@@ -120,7 +120,7 @@ impl Pass {
         out
     }
 
-    /// From the splats' own gradients, rows of `width`, to those of the Gaussians' parameters.
+    /// Gradients of the Gaussians' parameters from the splats' gradients, rows of `width` floats.
     fn attributes_backward(
         &self,
         source: &AttributeSource<'_>,
@@ -162,7 +162,7 @@ impl Pass {
         );
     }
 
-    /// Chain rule from one splat's gradient, its channels' included, to its Gaussian's gradient row, but for albedo.
+    /// Chain rule from one splat's gradient, including its channels, to its Gaussian's gradient row, except albedo.
     fn geometry_backward(
         &self,
         source: &AttributeSource<'_>,
@@ -186,7 +186,7 @@ impl Pass {
         add(Field::OpacityLogit, &[by.opacity_logit]);
     }
 
-    /// Chain rule through the light of the Gaussians, for rows of splat gradients of `width`: adds to them and to
+    /// Chain rule through the light of the Gaussians. Adds to the splat gradients, rows of `width` floats, and to
     /// `by_tables`.
     pub(crate) fn light_backward(
         &self,
@@ -218,8 +218,8 @@ impl Pass {
         partial.iter().for_each(|p| by_tables.accumulate(p));
     }
 
-    /// Adds the gradient of the light through `E_j` (Eq. 20), where indirect light is learned and differentiated: by
-    /// `E_j` it is the sum over Gaussians of weight x channel gradient.
+    /// Adds the gradient of the light through `E_j` (Eq. 20), where indirect light is learned and differentiated. The
+    /// gradient by `E_j` is the sum over Gaussians of weight x channel gradient.
     fn indirect_backward(
         &self,
         source: &AttributeSource<'_>,
@@ -241,7 +241,7 @@ impl Pass {
         indirect_basis_backward(&by_basis, by_tables);
     }
 
-    /// The splats' own gradients by splat, summed over their tiles: mean, conic, opacity, absgrad, then `count` channels.
+    /// The gradient of each splat, summed over its tiles: mean, conic, opacity, absgrad, then `count` channels.
     pub fn splat_gradients(&self, by_gbuffer: &[f32], stored: usize, count: usize) -> Vec<f32> {
         self.sum_instances(&self.blend_backward(by_gbuffer, stored, count), ROW_HEADER + count)
     }
@@ -317,7 +317,7 @@ impl Pass {
                 (0..3).for_each(|c| s[c] += part[c][k]);
             }
         }
-        // A prototype outside of what can be shown is clamped, which passes no gradient.
+        // A prototype outside of [0, 1] is clamped, and the clamp passes no gradient.
         for (s, a) in sum.iter_mut().zip(source.prototypes) {
             *s = std::array::from_fn(|c| if a[c] > 0.0 && a[c] < 1.0 { s[c] } else { 0.0 });
         }
@@ -329,7 +329,7 @@ fn gaussians_of(splats: &[Splat]) -> Vec<u32> {
     splats.iter().map(|s| s.gaussian).collect()
 }
 
-/// The attributes that `channels` carry of every splat, in rows of `stored` floats; what is beyond is zero.
+/// The attributes of every splat in `channels`, in rows of `stored` floats; the remaining floats are zero.
 pub fn attribute_rows(
     source: &AttributeSource<'_>,
     view: &RasterCamera,
@@ -350,7 +350,7 @@ pub fn attribute_rows(
     rows
 }
 
-/// Every visible Gaussian as a splat, in the order of the Gaussians: what is read and written by splat then lies in a row.
+/// Every visible Gaussian as a splat, in the order of the Gaussians, so that reads and writes by splat are contiguous.
 pub fn project_all(source: &AttributeSource<'_>, view: &RasterCamera) -> Vec<Splat> {
     (0..source.gaussians.len())
         .into_par_iter()

@@ -1,4 +1,4 @@
-//! Where in the world the surface is that a pixel sees.
+//! The world point on the surface that a pixel sees.
 
 use crate::cpu::occluder::{Vec3, dot};
 use crate::cpu::pass::Pass;
@@ -6,16 +6,17 @@ use crate::cpu::project::{Splat, normalise};
 use relume_layout::channel;
 use relume_layout::constants::{ALPHA_MAX, LIFT, MAX_MEAN_DEPTH_ERROR, MAX_PLANE_DEPTH_ERROR, TILE};
 
-/// The world point that pixel (`x`, `y`) of a pass with normals sees: on the plane of the Gaussian that brings coverage
-/// to half of what the pixel has. At an edge the mean depth is between two surfaces and on neither; this is on one of
-/// them. The camera's centre where there is nothing.
+/// The world point that pixel (`x`, `y`) of a pass with normals sees, on the plane of the Gaussian at which coverage reaches
+/// half of the pixel's. At an edge the mean depth lies between two surfaces; this point lies on one of them. For an empty
+/// pixel it is the camera's centre.
 pub fn surface_point(pass: &Pass, x: usize, y: usize) -> [f32; 3] {
     let (ray, depth) = (pass.view.ray(x, y), surface_depth(pass, x, y));
     std::array::from_fn(|k| pass.view.centre[k] + depth * ray[k])
 }
 
-/// World points that `places` in pixel (`x`, `y`), pixels from its centre, see: on the pixel's mean plane, a little before
-/// it. The mean is smoother than any Gaussian. Where it is not near [`surface_point`] all are at the depth of that.
+/// World points for the offsets `places` within pixel (`x`, `y`), pixels from its centre: on the pixel's mean plane, slightly
+/// in front of it. The mean plane is smoother than the planes of single Gaussians. Where it is not near [`surface_point`], all
+/// points have the depth of [`surface_point`].
 pub fn surface_points<const N: usize>(
     pass: &Pass,
     (x, y): (usize, usize),
@@ -29,7 +30,7 @@ pub fn surface_points<const N: usize>(
     places.map(|[dx, dy]| {
         let ray = pass.view.ray_through([x as f32 + 0.5 + dx, y as f32 + 0.5 + dy]);
         let mean = distance / dot(blended, ray);
-        // NaN and infinity are not near.
+        // NaN and infinity fail the test.
         let depth = if (mean - seen).abs() <= MAX_MEAN_DEPTH_ERROR * seen { mean } else { seen };
         std::array::from_fn(|k| pass.view.centre[k] + depth * ray[k] + to_camera * normal[k])
     })
@@ -55,7 +56,7 @@ fn surface_depth(pass: &Pass, x: usize, y: usize) -> f32 {
     depth
 }
 
-/// What `splat` takes from the centre of pixel (`x`, `y`).
+/// Alpha of `splat` at the centre of pixel (`x`, `y`).
 fn alpha(splat: &Splat, x: usize, y: usize) -> f32 {
     let (dx, dy) = (x as f32 + 0.5 - splat.mean[0], y as f32 + 0.5 - splat.mean[1]);
     let [xx, xy, yy] = splat.conic;
@@ -68,6 +69,6 @@ fn depth_on_plane(pass: &Pass, splat: usize, centre: f32, ray: [f32; 3]) -> f32 
     let row = &pass.attributes[splat * pass.channels.stored()..];
     let along: f32 = (0..3).map(|k| row[channel::NORMAL.start + k] * ray[k]).sum();
     let depth = row[channel::PLANE] / along;
-    // NaN and infinity are edge-on too.
+    // NaN and infinity count as edge-on.
     if (depth - centre).abs() <= MAX_PLANE_DEPTH_ERROR * centre { depth } else { centre }
 }

@@ -1,7 +1,7 @@
-//! Transmittance probes: the visibility of the environment from each Gaussian, and its dominant occluder (docs/MODEL.md
+//! Transmittance probes: the visibility of the environment from each Gaussian, and its dominant occluder (docs/MODEL.md,
 //! section 6).
 //!
-//! Directions are independent and run in parallel; `shadows.rs` answers all queries of one.
+//! Directions are independent and run in parallel; `shadows.rs` answers all queries of one direction.
 
 use rayon::prelude::*;
 
@@ -20,11 +20,11 @@ pub struct Probes {
     pub directions: Vec<Vec3>,
     /// `[direction][Gaussian]`: transmittance towards the direction.
     pub transmittance: Vec<Vec<f32>>,
-    /// `[direction][Gaussian]`: the Gaussian that takes most of the rest, or [`NO_HIT`](relume_layout::constants::NO_HIT).
+    /// `[direction][Gaussian]`: the Gaussian that blocks most of the rest, or [`NO_HIT`](relume_layout::constants::NO_HIT).
     pub hit: Vec<Vec<u32>>,
 }
 
-/// Transmittance from every Gaussian towards each light, `[light][Gaussian]`: the mean over its disc.
+/// Transmittance from every Gaussian towards each light, `[light][Gaussian]`: the mean over the light's disc.
 pub fn light_transmittance(
     source: &AttributeSource<'_>,
     lights: &[SplitLight],
@@ -43,8 +43,8 @@ pub fn light_transmittance(
     towards.iter().map(mean).collect()
 }
 
-/// Share of each light that arrives at every Gaussian, as [`AttributeSource::arriving`] has it: empty where there are no
-/// lights or nothing is occluded.
+/// Share of each light that arrives at every Gaussian, as in [`AttributeSource::arriving`]: empty without lights, and where
+/// the visibility form is `Off`.
 pub fn arriving(source: &AttributeSource<'_>, lights: &[SplitLight]) -> Vec<[f32; MAX_LIGHTS]> {
     if lights.is_empty() || source.options.visibility == VisibilityForm::Off {
         return Vec::new();
@@ -80,9 +80,7 @@ pub fn outward_normals(source: &AttributeSource<'_>) -> Vec<Vec3> {
 }
 
 impl Probes {
-    /// Measures `directions` from every Gaussian of `source`.
-    ///
-    /// Each from its centre, moved outwards as `settings` say.
+    /// Measures `directions` from every Gaussian of `source`, from its centre moved outwards by `settings`.
     pub fn measure(source: &AttributeSource<'_>, directions: Vec<Vec3>, settings: ProbeSettings) -> Self {
         let occluders = occluders(source);
         let normals = outward_normals(source);

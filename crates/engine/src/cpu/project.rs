@@ -1,7 +1,7 @@
-//! Projection of one Gaussian to a screen-space splat, and back (docs/MODEL.md section 2).
+//! Projection of one Gaussian to a screen-space splat, forward and backward (docs/MODEL.md, section 2).
 //!
-//! The determinant of the screen covariance `M M^T` is the squared length of the cross product of M's rows: for needles
-//! `xx yy - xy^2` would be the difference of two large numbers. With the low-pass l added to xx and yy it grows by
+//! The determinant of the screen covariance `M M^T` is computed as the squared length of the cross product of M's rows: for
+//! needles `xx yy - xy^2` would be the difference of two large numbers. The low-pass l, added to xx and yy, adds
 //! `l (xx + yy) + l^2`, a sum of positive terms.
 
 use crate::RasterCamera;
@@ -12,7 +12,7 @@ use relume_layout::constants::{
 /// A projected Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Splat {
-    /// Which Gaussian of the model.
+    /// Index of the Gaussian in the model.
     pub gaussian: u32,
     /// Projected mean, pixels.
     pub mean: [f32; 2],
@@ -22,13 +22,13 @@ pub struct Splat {
     pub covariance: [f32; 3],
     /// Opacity, compensation included.
     pub opacity: f32,
-    /// Factor the compensation multiplied the opacity by (1 without).
+    /// Factor by which the compensation multiplied the opacity (1 without compensation).
     pub compensation: f32,
-    /// `ln(255 opacity)`: beyond this exponent alpha is below 1/255.
+    /// `ln(255 opacity)`: at a larger exponent alpha is below 1/255.
     pub reach: f32,
     /// Camera depth.
     pub depth: f32,
-    /// Sorts like depth, see [`RasterCamera::depth_key`].
+    /// Key with the order of depth, see [`RasterCamera::depth_key`].
     pub depth_key: u32,
 }
 
@@ -45,27 +45,27 @@ pub struct Geometry {
     pub opacity_logit: f32,
 }
 
-/// What the blending's backward pass knows about a splat.
+/// Gradient of a splat from the blending's backward pass.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct SplatGradient {
-    /// By projected mean, per pixel.
+    /// Gradient by projected mean, per pixel.
     pub mean: [f32; 2],
-    /// By conic `xx, xy, yy`.
+    /// Gradient by conic `xx, xy, yy`.
     pub conic: [f32; 3],
-    /// By effective opacity.
+    /// Gradient by effective opacity.
     pub opacity: f32,
 }
 
 /// Gradient of [`Geometry`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct GeometryGradient {
-    /// By centre.
+    /// Gradient by centre.
     pub mean: [f32; 3],
-    /// By ln scale.
+    /// Gradient by ln scale.
     pub log_scale: [f32; 3],
-    /// By rotation matrix, row-major; turned into the quaternion's with everything else that uses it.
+    /// Gradient by rotation matrix, row-major. The chain rule to the quaternion runs once, after all terms of the matrix.
     pub rotation: [[f32; 3]; 3],
-    /// By opacity logit.
+    /// Gradient by opacity logit.
     pub opacity_logit: f32,
 }
 
@@ -77,7 +77,7 @@ pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// Derivative of [`sigmoid`]: `s(x) s(-x)`, which keeps its digits where `s` is nearly 1 and `1 - s` has none left.
+/// Derivative of [`sigmoid`]: `s(x) s(-x)`, which stays accurate where `s` is nearly 1 and `1 - s` loses all digits.
 #[inline]
 pub fn sigmoid_derivative(x: f32) -> f32 {
     sigmoid(x) * sigmoid(-x)
@@ -131,14 +131,14 @@ pub fn rotation_backward(quaternion: [f32; 4], g: &Mat3) -> [f32; 4] {
 }
 
 impl Geometry {
-    /// Whether all parameters are numbers. Scales and opacity may be infinite: they are clamped.
+    /// True when no parameter is NaN. Scales and opacity may be infinite: they are clamped.
     pub(super) fn is_usable(&self) -> bool {
         let finite = self.mean.iter().chain(&self.quaternion).all(|v| v.is_finite());
         finite && !self.opacity_logit.is_nan() && !self.log_scale.iter().any(|s| s.is_nan())
     }
 }
 
-/// What forward and backward share.
+/// Values that forward and backward share.
 struct Projection {
     /// Camera-space mean.
     camera: [f32; 3],
@@ -149,7 +149,7 @@ struct Projection {
     /// `Q S`, columns are the scaled axes.
     axes: Mat3,
     scale: [f32; 3],
-    /// The three scaled axes on screen, 2 x 3: squares of them cannot turn negative.
+    /// The three scaled axes on screen, 2 x 3. Sums of their squares cannot become negative.
     screen: [[f32; 3]; 2],
     /// Screen covariance without the low-pass.
     raw: [f32; 3],
@@ -184,7 +184,7 @@ fn prepare(view: &RasterCamera, g: &Geometry) -> Option<Projection> {
     let rotation = rotation(g.quaternion);
     let scale = g.log_scale.map(|s| s.clamp(-LOG_SCALE_LIMIT, LOG_SCALE_LIMIT).exp());
     let axes: Mat3 = std::array::from_fn(|r| std::array::from_fn(|c| rotation[r][c] * scale[c]));
-    // The scale comes last: nothing cancels between axes of different length.
+    // The scale is applied last, so that axes of different length do not cancel.
     let screen: [[f32; 3]; 2] = std::array::from_fn(|r| {
         std::array::from_fn(|c| scale[c] * (0..3).map(|k| to_screen[r][k] * rotation[k][c]).sum::<f32>())
     });
@@ -215,7 +215,7 @@ pub fn project(view: &RasterCamera, index: u32, g: &Geometry) -> Option<Splat> {
     }
     let mean: [f32; 2] =
         std::array::from_fn(|k| view.focal[k] * (p.camera[k] / p.camera[2]) + view.centre_px[k]);
-    // Beyond this no pixel is anywhere near, and the way back would overflow.
+    // A mean beyond this distance reaches no pixel, and the backward pass would overflow.
     if !(mean[0].abs() < MAX_PIXEL_DISTANCE && mean[1].abs() < MAX_PIXEL_DISTANCE) {
         return None;
     }
@@ -272,7 +272,7 @@ pub fn project_backward(view: &RasterCamera, g: &Geometry, s: &Splat, d: &SplatG
         let (ratio, inside) = p.ratio[k];
         camera[2] += inverse * inverse * f * (slanted * ratio - diagonal);
         let by_ratio = f * d.mean[k] + if inside { -f * inverse * slanted } else { 0.0 };
-        // Inside, the clamped ratio is the true one; outside only the mean's own ratio moves.
+        // Inside the limits the clamped ratio is the true one; outside only the mean's own ratio has a derivative.
         let true_ratio = p.camera[k] * inverse;
         camera[k] += by_ratio * inverse;
         camera[2] -= by_ratio * true_ratio * inverse;
@@ -284,8 +284,8 @@ pub fn project_backward(view: &RasterCamera, g: &Geometry, s: &Splat, d: &SplatG
 /// Gradient by the three axes on screen, and by their ln length, of the conic `C = (raw + low_pass)^-1` and of the
 /// compensation `sqrt(det raw / det covariance)`.
 ///
-/// With x_k an axis on screen and `y_k = C x_k` they are `-2 C dC y_k` and `-2 y_k . dC y_k`. A needle's y is the inverse
-/// of its length: as a difference of C's entries times x it would be lost, so it is taken from the adjugate,
+/// With x_k an axis on screen and `y_k = C x_k`, the gradients are `-2 C dC y_k` and `-2 y_k . dC y_k`. For a needle, y is the
+/// inverse of its length and would cancel out as a difference of C's entries times x, so it is computed from the adjugate,
 /// `adj(raw) x_k = sum over the other axes j of (x_k x x_j) perp x_j`, in which the axis itself cancels exactly.
 fn screen_backward(
     view: &RasterCamera,
@@ -298,7 +298,7 @@ fn screen_backward(
     let [a, b, c] = s.conic;
     let (determinant, low_pass) = (blurred_determinant(p, view.low_pass), view.low_pass);
     let adjugate = [cross(&p.screen[1], &p.area), cross(&p.area, &p.screen[0])];
-    // Below, the derivative of its root overflows f32.
+    // Below this determinant the derivative of its root overflows f32.
     let has_derivative = view.low_pass_compensation && p.raw_determinant > MIN_DETERMINANT;
     let factor = if has_derivative { s.compensation * by_compensation } else { 0.0 };
     let mut by_screen = [[0.0f32; 3]; 2];

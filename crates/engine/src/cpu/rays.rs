@@ -1,26 +1,26 @@
 //! Transmittance along single rays through the Gaussians, from any point in any direction, as the probes define it.
 //!
-//! A tree of boxes around where each Gaussian's alpha reaches 1/255. The alpha of a Gaussian on a ray is its
-//! peak along the ray's line: that of its footprint on the plane across the ray, as the probes measure it.
+//! The tree bounds, for each Gaussian, the region in which its alpha reaches 1/255. The alpha of a Gaussian on a ray is its
+//! peak along the ray's line: the alpha of its footprint on the plane perpendicular to the ray, as in the probes.
 
 use crate::cpu::attributes::AttributeSource;
 use crate::cpu::occluder::{Occluder, Vec3, dot, occluders, plane_basis, widening};
 use crate::{ProbeSettings, RayTree};
 use relume_layout::constants::{MAX_OCCLUDER_VARIANCE, MIN_TRANSMITTANCE, TREE_DEPTH};
 
-/// Gaussians a leaf may have.
+/// Maximum number of Gaussians per leaf.
 const LEAF: usize = 4;
 
 /// A bounding volume hierarchy over the Gaussians of a model, for transmittance along rays.
 #[derive(Debug, Clone)]
 pub struct OccluderBvh {
-    /// In the order of the leaves.
+    /// Occluders in the order of the leaves.
     members: Vec<Occluder>,
     nodes: Vec<BvhNode>,
     settings: ProbeSettings,
 }
 
-/// A box; its left child is the next node.
+/// A bounding box; its left child is the next node.
 #[derive(Debug, Clone, Copy)]
 struct BvhNode {
     low: Vec3,
@@ -31,14 +31,14 @@ struct BvhNode {
     count: u32,
 }
 
-/// An occluder with the box around it.
+/// An occluder with its bounding box.
 struct BoundedOccluder {
     occluder: Occluder,
     half: Vec3,
 }
 
 impl OccluderBvh {
-    /// Builds the tree over the Gaussians of `source`; `settings` say which of them count for a ray.
+    /// Builds the tree over the Gaussians of `source`; `settings` determine which of them count for a ray.
     pub fn new(source: &AttributeSource<'_>, settings: ProbeSettings) -> Self {
         let mut boxes: Vec<BoundedOccluder> = occluders(source).into_iter().filter_map(boxed).collect();
         let mut nodes = Vec::with_capacity(2 * boxes.len() / LEAF + 1);
@@ -48,7 +48,7 @@ impl OccluderBvh {
         Self { members: boxes.into_iter().map(|b| b.occluder).collect(), nodes, settings }
     }
 
-    /// The tree as other engines walk it.
+    /// The tree in the layout of other engines.
     pub fn tree(&self) -> RayTree {
         let node = |n: &BvhNode| {
             let [a, b, c] = n.low.map(f32::to_bits);
@@ -69,9 +69,8 @@ impl OccluderBvh {
 
     /// Share of light, 0 to 1, that reaches surface point `origin` from unit direction `d`.
     ///
-    /// An occluder counts from two of its own standard deviations and a little beyond the point
-    /// ([`ProbeSettings::clearance`], [`ProbeSettings::bias`]) to [`ProbeSettings::reach`]. Less than [`MIN_TRANSMITTANCE`] counts
-    /// as 0.
+    /// An occluder counts at distances from [`ProbeSettings::clearance`] of its own standard deviations plus
+    /// [`ProbeSettings::bias`] up to [`ProbeSettings::reach`]. A transmittance below [`MIN_TRANSMITTANCE`] counts as 0.
     pub fn transmittance(&self, origin: Vec3, d: Vec3) -> f32 {
         let (u, v) = plane_basis(d);
         let inverse = d.map(|x| 1.0 / x);
@@ -95,7 +94,7 @@ impl OccluderBvh {
             for o in &self.members[first..first + node.count as usize] {
                 left *= 1.0 - self.alpha_on_ray(o, origin, [d, u, v]);
             }
-            // The product does not grow again, whatever order the rest comes in.
+            // Further occluders, in any order, only reduce the product.
             if left < MIN_TRANSMITTANCE {
                 return 0.0;
             }
@@ -108,7 +107,7 @@ impl OccluderBvh {
     fn alpha_on_ray(&self, o: &Occluder, origin: Vec3, [d, u, v]: [Vec3; 3]) -> f32 {
         let offset: Vec3 = std::array::from_fn(|k| o.mean[k] - origin[k]);
         let depth = dot(offset, d);
-        // NaN is no occluder either.
+        // NaN fails the test as well.
         if !(depth >= self.settings.bias && depth <= self.settings.reach) {
             return 0.0;
         }
@@ -121,14 +120,14 @@ impl OccluderBvh {
 }
 
 impl BvhNode {
-    /// Whether the ray from `origin` passes through the box; `inverse` is one over its direction.
+    /// True when the ray from `origin` passes through the box; `inverse` is 1 / direction, per component.
     #[inline]
     fn is_hit(&self, origin: Vec3, inverse: Vec3) -> bool {
         let (mut enter, mut leave) = (0.0f32, f32::INFINITY);
         for k in 0..3 {
             let a = (self.low[k] - origin[k]) * inverse[k];
             let b = (self.high[k] - origin[k]) * inverse[k];
-            // `max` and `min` drop the NaN of a ray within a face: the other axes decide.
+            // `max` and `min` ignore the NaN of a ray within a face: the other axes decide.
             enter = enter.max(a.min(b));
             leave = leave.min(a.max(b));
         }
@@ -144,7 +143,7 @@ fn boxed(occluder: Occluder) -> Option<BoundedOccluder> {
     usable.then_some(BoundedOccluder { occluder, half })
 }
 
-/// Appends the tree over `boxes`, whose first one is member `first`, and puts them into the order of its leaves.
+/// Appends the tree over `boxes`, whose first element is member `first`, and sorts them into the order of its leaves.
 fn build(boxes: &mut [BoundedOccluder], first: usize, nodes: &mut Vec<BvhNode>) {
     let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     let (mut least, mut most) = (low, high);
@@ -181,7 +180,7 @@ mod tests {
     use relume_compare::largest_difference;
     use relume_scene::{Field, Gaussians, ShadingOptions};
 
-    /// A cloud of discs, needles and blobs, some far larger than others, some all but transparent.
+    /// A cloud of discs, needles and blobs of very different sizes, some almost transparent.
     fn cloud(n: usize) -> Gaussians {
         let mut g = Gaussians::zeroed(n, 1, 1, 0);
         let mut state = 9u64;
@@ -216,7 +215,7 @@ mod tests {
     fn ray_transmittance_equals_the_probe_measurement() {
         let (g, options) = (cloud(400), ShadingOptions::default());
         let source = source(&g, &options);
-        // From the centres themselves, each as clear of itself as of anything else.
+        // From the centres themselves, with the same clearance from the own Gaussian as from others.
         let settings = ProbeSettings { offset: 0.0, ..ProbeSettings::default() };
         let directions = fibonacci_sphere(40);
         let probes = Probes::measure(&source, directions.clone(), settings);

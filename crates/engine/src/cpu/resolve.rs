@@ -1,4 +1,4 @@
-//! From a G-buffer to the planes of a frame.
+//! Converts a G-buffer to the planes of a frame.
 
 use std::collections::BTreeMap;
 
@@ -12,8 +12,8 @@ use relume_layout::constants::MIN_COVERAGE;
 use relume_scene::Output;
 use relume_scene::light::Reflector;
 
-/// Turns a G-buffer into the planes asked for. `light` shades the surface in pixel (x, y), and is only asked where
-/// some output shows light.
+/// Converts a G-buffer to the requested planes. `light` shades the surface in pixel (x, y); it is called only where an output
+/// contains light.
 pub fn resolve(
     pass: &Pass,
     shader: &SurfaceShader<'_>,
@@ -108,7 +108,7 @@ fn write_attribute(
     }
 }
 
-/// The BRDF of a surface, its normal turned to the camera.
+/// The BRDF of a surface, with its normal turned to the camera.
 pub fn reflector(surface: &Surface) -> Reflector {
     let vector = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
     let view = vector(surface.view).normalize_or(DVec3::Z);

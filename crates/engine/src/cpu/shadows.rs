@@ -1,7 +1,8 @@
-//! Transmittance towards one direction from every Gaussian: the footprints of all Gaussians on the plane across it.
+//! Transmittance towards one direction from every Gaussian, by the footprints of all Gaussians on the plane perpendicular to
+//! it.
 //!
-//! Footprints are listed by cell of a square grid, nearest first. The queries of a cell are answered together: its footprints
-//! are laid out once, sixteen in lanes, and each query takes them in order of depth, from its own depth on.
+//! A square grid lists the footprints of each cell, nearest first. The queries of a cell are answered together: its
+//! footprints are laid out once, sixteen in lanes, and each query visits them in order of depth, from its own depth on.
 
 use multiversion::multiversion;
 
@@ -10,20 +11,20 @@ use crate::cpu::lanes::{LANES, Lanes, exp_negative};
 use crate::cpu::occluder::{Footprint, Occluder, Vec3, dot, plane_basis};
 use relume_layout::constants::{ALPHA_MAX, MIN_TRANSMITTANCE, NO_HIT};
 
-/// Gaussians there are for each cell of the grid.
+/// Mean number of Gaussians per cell of the grid.
 const PER_CELL: usize = 4;
-/// Most cells along a side.
+/// Maximum number of cells along a side.
 const MAX_GRID_SIDE: usize = 256;
 
-/// Where the visibility of a Gaussian is measured from.
+/// Start point of the visibility measurement of a Gaussian.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct VisibilityQuery {
     pub(super) point: Vec3,
-    /// Occluders must be this much further along.
+    /// Smallest distance of an occluder along the direction, world units.
     pub(super) clearance: f32,
 }
 
-/// A query projected to the plane across one direction.
+/// A query projected to the plane perpendicular to one direction.
 #[derive(Debug, Clone, Copy)]
 struct PlaneQuery {
     index: u32,
@@ -42,13 +43,13 @@ struct ProjectedFootprint {
     footprint: Footprint,
 }
 
-/// Sixteen footprints, one a lane, in order of depth; an unused lane is infinitely far and has no reach.
+/// Sixteen footprints, one per lane, in order of depth; an unused lane is infinitely far and has no reach.
 #[derive(Debug, Clone)]
 struct Block {
     index: [u32; LANES],
     centre: [Lanes; 2],
     depth: Lanes,
-    /// A footprint counts from this distance on, besides the query's own clearance.
+    /// Smallest distance at which a footprint counts, in addition to the query's clearance.
     clearance: Lanes,
     conic: [Lanes; 3],
     opacity: Lanes,
@@ -94,10 +95,10 @@ pub(super) fn measure_direction(
     (transmittance, hit)
 }
 
-/// Footprints in order of depth, ties by index, from the order of the Gaussians.
+/// Footprints sorted by depth, ties by index.
 fn nearest_first(flats: impl Iterator<Item = ProjectedFootprint>) -> Vec<ProjectedFootprint> {
     let flats: Vec<ProjectedFootprint> = flats.collect();
-    // Keys are moved about, not footprints; their order is that of `f32::total_cmp`.
+    // The sort moves keys instead of footprints; their order is that of `f32::total_cmp`.
     let key = |depth: f32| {
         let bits = depth.to_bits();
         bits ^ if bits >> 31 == 1 { u32::MAX } else { 1 << 31 }
@@ -162,13 +163,13 @@ impl Block {
         })
     }
 
-    /// The footprints that count, a bit each ([`Footprint::alpha`]).
+    /// The footprints that count, one bit each ([`Footprint::alpha`]).
     #[inline(always)]
     fn counting(&self, q: &PlaneQuery, reach: f32, power: &Lanes) -> u32 {
         let mut bits = 0;
         for i in 0..LANES {
             let away = self.depth.0[i] - q.depth;
-            // Every test is one that NaN fails.
+            // NaN fails every test.
             let counts = (self.depth.0[i] > q.depth)
                 & (away <= reach)
                 & (away >= self.clearance.0[i] + q.clearance)
@@ -179,7 +180,7 @@ impl Block {
         bits
     }
 
-    /// Alpha of each footprint, whether it counts or not.
+    /// Alpha of each footprint, also of those that do not count.
     #[inline(always)]
     fn alpha(&self, power: &Lanes) -> Lanes {
         Lanes::from_fn(|i| {
@@ -214,7 +215,7 @@ fn answer(blocks: &[Block], q: &PlaneQuery, reach: f32) -> (f32, u32) {
             }
             transmittance *= 1.0 - alpha.0[lane];
         }
-        // Every footprint behind weighs less than `MIN_TRANSMITTANCE`; the first one counted weighed 1/255 or more.
+        // Every further footprint weighs less than `MIN_TRANSMITTANCE`; the first counted one weighed 1/255 or more.
         if transmittance < MIN_TRANSMITTANCE {
             return (0.0, hit);
         }
@@ -254,7 +255,7 @@ impl Grid {
         Self { origin: lo, inverse_size, side }
     }
 
-    /// Index along axis `k`; coordinates beyond the grid belong to its outermost cells.
+    /// Index along axis `k`; coordinates beyond the grid map to its outermost cells.
     fn coordinate(&self, k: usize, x: f32) -> usize {
         ((x - self.origin[k]) * self.inverse_size[k]).clamp(0.0, (self.side - 1) as f32) as usize
     }
@@ -269,7 +270,7 @@ impl Grid {
     fn list<T>(&self, things: &[T], span: impl Fn(&T) -> Span) -> CellLists {
         let mut first = vec![0u32; self.side * self.side + 1];
         let spans: Vec<Span> = things.iter().map(span).collect();
-        // The cells of a row lie together.
+        // The cells of a row are contiguous.
         let rows = |span: &Span| {
             let [left, right, top, bottom] = span.map(usize::from);
             (top..=bottom).map(move |row| row * self.side + left..row * self.side + right + 1)

@@ -1,9 +1,9 @@
-//! What is shaded, a pixel's surface or a Gaussian's, and what shades it.
+//! A surface to shade, in a pixel or at a Gaussian, and its shader.
 
 use relume_scene::light::LightTables;
 use relume_scene::{DiffuseForm, MAX_LIGHTS, ShadingOptions, VisibilityForm};
 
-/// Most visibility coefficients (order 6, padded).
+/// Maximum number of visibility coefficients (degree 6, padded).
 pub const MAX_COEFFICIENTS: usize = 64;
 
 /// A surface: a Gaussian's attributes, or those blended in a pixel, divided by coverage.
@@ -17,13 +17,13 @@ pub struct Surface {
     pub metal: f32,
     /// Roughness.
     pub rough: f32,
-    /// Natural logarithm of the diffuse term's gain at grazing view; 0 for none.
+    /// Natural logarithm of the diffuse term's gain at grazing view; 0 is no sheen.
     pub sheen: f32,
     /// Irradiance gathered from other surfaces.
     pub gathered: [f32; 3],
-    /// Radiance from where the environment is blocked.
+    /// Radiance from directions in which the environment is blocked.
     pub blocked: [f32; 3],
-    /// Share of each of the tables' lights that arrives; 0 where lights are not shaded.
+    /// Arriving share of each dominant light; 0 where dominant lights are not shaded.
     pub arriving: [f32; MAX_LIGHTS],
     /// Visibility coefficients, zero-padded.
     pub visibility: [f32; MAX_COEFFICIENTS],
@@ -34,23 +34,23 @@ pub struct Surface {
 /// Gradient of [`Surface`].
 #[derive(Debug, Clone, Copy)]
 pub struct SurfaceGradient {
-    /// By normal.
+    /// Gradient by normal.
     pub normal: [f32; 3],
-    /// By base colour.
+    /// Gradient by base colour.
     pub albedo: [f32; 3],
-    /// By metalness.
+    /// Gradient by metalness.
     pub metal: f32,
-    /// By roughness.
+    /// Gradient by roughness.
     pub rough: f32,
-    /// By sheen.
+    /// Gradient by sheen.
     pub sheen: f32,
-    /// By the radiance from where the environment is blocked.
+    /// Gradient by `blocked`.
     pub blocked: [f32; 3],
-    /// By gathered irradiance.
+    /// Gradient by gathered irradiance.
     pub gathered: [f32; 3],
-    /// By visibility coefficients.
+    /// Gradient by visibility coefficients.
     pub visibility: [f32; MAX_COEFFICIENTS],
-    /// By the direction to the camera.
+    /// Gradient by the direction to the camera.
     pub view: [f32; 3],
 }
 
@@ -70,12 +70,12 @@ impl SurfaceGradient {
     }
 }
 
-/// Shading under one light.
+/// Shader under one light.
 #[derive(Debug, Clone, Copy)]
 pub struct SurfaceShader<'a> {
     /// Tables of the light.
     pub tables: &'a LightTables,
-    /// The forward model.
+    /// Options of the forward model.
     pub options: &'a ShadingOptions,
     /// Degree of the visibility field.
     pub sh_degree: usize,
@@ -86,7 +86,7 @@ pub(super) fn dot3(a: [f32; 3], b: [f32; 3]) -> f32 {
 }
 
 impl SurfaceShader<'_> {
-    /// From a linear visibility field to a visibility (article Eq. 13).
+    /// Visibility, 0 to 1, from the value of a linear visibility field (article Eq. 13).
     pub(super) fn squash(&self, x: f32) -> f32 {
         match self.options.visibility {
             VisibilityForm::Sigmoid => 1.0 / (1.0 + (-x).exp()),
@@ -95,7 +95,7 @@ impl SurfaceShader<'_> {
         }
     }
 
-    /// Derivative of [`Self::squash`] at `x`, where it gave `y`.
+    /// Derivative of [`Self::squash`] at `x`, where it returned `y`.
     pub(super) fn squash_derivative(&self, x: f32, y: f32) -> f32 {
         match self.options.visibility {
             VisibilityForm::Sigmoid => y * (1.0 - y),
@@ -108,7 +108,7 @@ impl SurfaceShader<'_> {
         self.options.visibility == VisibilityForm::Off
     }
 
-    /// Whether one number stands for the visibility of all directions.
+    /// True where one number is the visibility of all directions.
     pub(super) fn is_scalar(&self) -> bool {
         self.is_open() || self.options.diffuse == DiffuseForm::AmbientOcclusion
     }

@@ -1,5 +1,5 @@
-//! Shading of one surface (docs/MODEL.md section 4), forward and backward: the specular term here, the diffuse one in
-//! `lambert`.
+//! Shading of one surface (docs/MODEL.md, section 4), forward and backward. This file has the specular term, `lambert` the
+//! diffuse one.
 
 use crate::cpu::lambert::Lambert;
 use crate::cpu::project::{normalise, normalise_backward};
@@ -12,7 +12,7 @@ use relume_scene::light::{
     Taps, sh_eval, sh_eval_with_gradient,
 };
 
-/// A shaded surface and what its backward pass needs.
+/// A shaded surface with the values that its backward pass needs.
 #[derive(Debug, Clone, Copy)]
 pub struct Shaded {
     /// Diffuse radiance.
@@ -26,7 +26,7 @@ pub struct Shaded {
     nov_inside: bool,
     reflection: [f32; 3],
     reflection_length: f32,
-    /// Irradiance that the lights beside the tables add to what is gathered.
+    /// Irradiance of the dominant lights, which is added to the gathered irradiance.
     direct: Option<[f32; 3]>,
     lambert: Lambert,
     sheen: Sheen,
@@ -39,21 +39,21 @@ pub struct Shaded {
     lut: LutSample<f32>,
 }
 
-/// `s` with the irradiance of lights added to what is gathered.
+/// `s` with the irradiance of dominant lights added to the gathered irradiance.
 fn lit(s: &Surface, direct: Option<[f32; 3]>) -> Surface {
     let Some(direct) = direct else { return *s };
     Surface { gathered: std::array::from_fn(|c| s.gathered[c] + direct[c]), ..*s }
 }
 
 impl Shaded {
-    /// What leaves for the camera.
+    /// Radiance towards the camera.
     pub fn outgoing(&self) -> OutgoingRadiance {
         OutgoingRadiance { diffuse: self.diffuse, specular: self.specular }
     }
 }
 
 impl SurfaceShader<'_> {
-    /// Radiance leaving the surface towards the camera.
+    /// Radiance of the surface towards the camera.
     pub fn shade(&self, s: &Surface) -> Shaded {
         let (mut normal, normal_length) = normalise(s.normal);
         let facing = dot3(normal, s.view);
@@ -116,7 +116,7 @@ impl SurfaceShader<'_> {
         }
     }
 
-    /// `h_l(r)` of the lobe form, or 1 for the article's `V(R)`.
+    /// `h_l(r)` of the lobe form, or 1 for the article's `V(R)`; with derivatives.
     fn attenuation(&self, rough: f32) -> ([f32; LOBE_DEGREES], [f32; LOBE_DEGREES]) {
         if self.options.visibility == VisibilityForm::Sigmoid {
             return ([1.0; LOBE_DEGREES], [0.0; LOBE_DEGREES]);
@@ -125,7 +125,7 @@ impl SurfaceShader<'_> {
         (s.value, s.by_roughness)
     }
 
-    /// Visibility through the specular lobe, squashed and raw.
+    /// Visibility over the specular lobe, squashed and raw.
     fn visible(&self, s: &Surface, reflection: [f32; 3]) -> (f32, f32) {
         if self.options.visibility == VisibilityForm::Off {
             return (1.0, 1.0);

@@ -1,4 +1,4 @@
-//! Which splats touch which tile, in depth order.
+//! Lists of the splats that touch each tile, in depth order.
 
 use rayon::prelude::*;
 
@@ -6,7 +6,7 @@ use crate::cpu::lanes::LANES;
 use crate::cpu::project::Splat;
 use relume_layout::constants::TILE;
 
-/// Splats that a task looks for tiles of.
+/// Splats per task.
 const CHUNK: usize = 1024;
 
 // A strip is one tile row.
@@ -97,14 +97,14 @@ impl TileLists {
 
 /// Indices of the splats, nearest first, ties by index.
 fn by_depth(splats: &[Splat]) -> impl Iterator<Item = usize> {
-    // Keys are moved about, not splats.
+    // The sort moves keys instead of splats.
     let key = |(index, splat): (usize, &Splat)| u64::from(splat.depth_key) << 32 | index as u64;
     let mut keys: Vec<u64> = splats.iter().enumerate().map(key).collect();
     keys.par_sort_unstable();
     keys.into_iter().map(|key| (key & 0xffff_ffff) as usize)
 }
 
-/// The tiles of some splats, one splat's after the other, and how many each has.
+/// The tiles of some splats, splat by splat, and the number of tiles of each.
 fn tiles_of(splats: &[Splat], columns: usize, rows: usize) -> (Vec<u32>, Vec<u32>) {
     let (mut tiles, mut counts) = (Vec::with_capacity(splats.len() * 3), Vec::with_capacity(splats.len()));
     for splat in splats {
@@ -126,7 +126,7 @@ fn touched_rows(
 ) -> impl Iterator<Item = (usize, usize, usize)> + use<> {
     let span = |mean: f32, variance: f32, tiles: usize| {
         let extent = (2.0 * s.reach.max(0.0) * variance).sqrt();
-        // Casting saturates, so far-away splats give empty or full spans instead of wrapping.
+        // The cast saturates, so far-away splats give empty or full spans instead of wrapping.
         let first = ((mean - extent - 0.5) / TILE as f32).floor().max(0.0) as usize;
         let end = ((mean + extent - 0.5) / TILE as f32 + 1.0).floor().max(0.0) as usize;
         (first.min(tiles), end.min(tiles))
@@ -143,7 +143,7 @@ fn touches(s: &Splat, column: usize, row: usize) -> bool {
     least_power(s, lo, hi) <= s.reach
 }
 
-/// Smallest `0.5 d^T C d` over the box `lo..hi` of offsets from the mean, as the sum of squares that blending uses.
+/// Smallest `0.5 d^T C d` over the box `lo..hi` of offsets from the mean, by the sum of squares that blending uses.
 fn least_power(s: &Splat, lo: [f32; 2], hi: [f32; 2]) -> f32 {
     let ([a, b, c], root) = (s.conic, s.conic[0].sqrt());
     let power = |x: f32, y: f32| {

@@ -1,4 +1,4 @@
-//! A training on the CPU engine: objective, gradients, Adam, measured visibility.
+//! Training on the CPU engine: objective, gradients, Adam, measured visibility.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables};
 use relume_scene::{ColumnShift, Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
 
-/// The state with the operators of its light, and the snapshot of both to return to.
+/// The state with the operators of its light, and the snapshot of both for a roll-back.
 pub struct CpuTraining {
     state: TrainState,
     operators: Arc<EnvOperators>,
@@ -34,11 +34,11 @@ pub struct ObjectiveResult {
     pub loss: f32,
     /// Mean squared error of the leading branch.
     pub mse: f32,
-    /// By every parameter.
+    /// Gradient by every parameter.
     pub gradients: Gradients,
 }
 
-/// What the kernels read of a state.
+/// The kernel input of a state.
 pub(super) fn source<'a>(
     state: &'a TrainState,
     basis: &'a [[f32; 3]; 16],
@@ -56,13 +56,13 @@ pub(super) fn source<'a>(
     }
 }
 
-/// Radiance of the environment's texels, as the model has them.
+/// Radiance of the model's environment texels.
 pub(super) fn environment_radiance(model: &Model) -> Vec<[f32; 3]> {
     model.env_raw.iter().map(|t| t.map(softplus)).collect()
 }
 
 impl CpuTraining {
-    /// Takes a training over.
+    /// Starts a training from `state`.
     pub fn new(state: TrainState, operators: &Arc<EnvOperators>) -> Self {
         Self { snapshot: (state.clone(), operators.clone()), state, operators: operators.clone() }
     }
@@ -263,7 +263,7 @@ fn parameter_terms(
     loss
 }
 
-/// Measures visibility and gathers light anew (docs/MODEL.md section 6).
+/// Measures visibility and gathers light again (docs/MODEL.md, section 6).
 fn measure(state: &mut TrainState, operators: &EnvOperators, how: &ProbeMeasurement<'_>) {
     let gathers = how.bounces > 0 && state.model.shading.indirect == IndirectForm::Gathered;
     if state.model.shading.visibility == VisibilityForm::Off && !gathers {

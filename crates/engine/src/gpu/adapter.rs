@@ -2,11 +2,11 @@
 
 use crate::adapter::AdapterReport;
 
-/// Workgroup memory the kernels were written for, bytes.
+/// Workgroup memory that the kernels need, bytes.
 pub(super) const WORKGROUP_MEMORY: u32 = 32 << 10;
-/// Invocations a workgroup has.
+/// Invocations per workgroup.
 pub(super) const INVOCATIONS: u32 = 256;
-/// Storage buffers the widest kernel binds.
+/// Storage buffers of the kernel with the most bindings.
 pub(super) const STORAGE_BUFFERS: u32 = 16;
 
 impl AdapterReport {
@@ -44,7 +44,7 @@ pub struct Adapters {
 }
 
 impl Adapters {
-    /// Looks for adapters. Finding none is no error.
+    /// Finds the adapters. The list may be empty.
     pub fn find() -> Self {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
             backends: wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12,
@@ -55,7 +55,7 @@ impl Adapters {
         Self { adapters, reports }
     }
 
-    /// What was found.
+    /// A report per adapter.
     pub fn reports(&self) -> &[AdapterReport] {
         &self.reports
     }

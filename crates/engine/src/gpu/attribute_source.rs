@@ -1,19 +1,19 @@
-//! What a frame reads of a model.
+//! The model data that a frame reads.
 
 use crate::gpu::buffer::Buffer;
 use crate::gpu::model::{LayoutUniform, ModelBuffers};
 
-/// A model in device memory as frames read it, with the indirect light of its surfaces.
+/// A model in device memory, as input of frames, with the indirect light of its surfaces.
 #[derive(Debug, Clone)]
 pub struct AttributeSource {
-    /// Where each field is in `params`.
+    /// Position of each field in `params`.
     pub layout: LayoutUniform,
     /// Planar parameters.
     pub params: Buffer<f32>,
-    /// Prototypes (K x 3), then anything.
+    /// Prototypes (K x 3) first; the rest is not read.
     pub globals: Buffer<f32>,
-    /// Measured light: 6 floats a Gaussian of what is gathered, then, where lights beside the tables were measured, 4 floats a
-    /// Gaussian of what arrives of them. `None` = nothing was measured: nothing is gathered and all of the lights arrives.
+    /// Measured light: 6 floats of gathered light per Gaussian, then, where dominant lights were measured, their 4 arriving
+    /// shares per Gaussian. `None`: nothing was measured; no light is gathered and the dominant lights arrive unshadowed.
     pub gathered: Option<Buffer<f32>>,
     /// `E_j` of Eq. 20, 16 x 3; needed by `IndirectForm::Learned`.
     pub indirect_basis: Option<Buffer<f32>>,
@@ -31,7 +31,7 @@ impl AttributeSource {
         }
     }
 
-    /// True when the model reads the indirect basis and has none that fits.
+    /// True when the model needs the indirect basis, and it is missing or too short.
     pub(super) fn lacks_basis(&self) -> bool {
         self.layout.reads_indirect_basis() && self.indirect_basis.as_ref().is_none_or(|b| b.len() < 48)
     }

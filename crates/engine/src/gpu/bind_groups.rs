@@ -1,4 +1,4 @@
-//! Bind groups, kept from one recording to the next: a step binds the same memory as the one before.
+//! Cache of bind groups: successive steps bind the same memory.
 
 use std::collections::HashMap;
 use std::sync::Mutex;
@@ -6,10 +6,10 @@ use std::sync::Mutex;
 use crate::gpu::lock::locked;
 use crate::gpu::shaders::Kernel;
 
-/// Bind groups kept at most; beyond that all are made anew.
+/// Maximum number of cached bind groups; a full cache is cleared.
 const MAX_BIND_GROUPS: usize = 4096;
 
-/// What a bind group binds, in the order of its bindings.
+/// Key of a bind group: its resources, in the order of its bindings.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub(super) struct BindKey {
     pub(super) kernel: &'static str,
@@ -19,9 +19,9 @@ pub(super) struct BindKey {
 /// One binding of a bind group.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Bound {
-    /// Bytes of a piece of memory, by its number.
+    /// A memory block by its number, and its size in bytes.
     Memory(u64, u64),
-    /// A struct of this many bytes in the shared uniforms, at an offset that is given with each dispatch.
+    /// A struct of this size in bytes in the shared uniforms; each dispatch gives its offset.
     Uniform(u64),
 }
 
@@ -40,7 +40,7 @@ impl BindKey {
 pub(super) struct BindGroups(Mutex<HashMap<BindKey, wgpu::BindGroup>>);
 
 impl BindGroups {
-    /// The bind group of `key`, made by `make` where there is none.
+    /// The bind group of `key`; `make` creates a missing one.
     pub(super) fn get(&self, key: BindKey, make: impl FnOnce() -> wgpu::BindGroup) -> wgpu::BindGroup {
         let mut groups = locked(&self.0);
         if let Some(group) = groups.get(&key) {
@@ -52,14 +52,14 @@ impl BindGroups {
         groups.entry(key).or_insert_with(make).clone()
     }
 
-    /// Forgets the groups that bind memory which nobody has a handle on any more: they would keep it.
+    /// Drops the groups that bind freed memory, which they would keep allocated.
     pub(super) fn forget(&self, freed: &[u64]) {
         if !freed.is_empty() {
             locked(&self.0).retain(|key, _| !freed.iter().any(|memory| key.binds(*memory)));
         }
     }
 
-    /// Bind groups that are kept.
+    /// Number of cached bind groups.
     #[cfg(test)]
     pub(super) fn len(&self) -> usize {
         locked(&self.0).len()

@@ -11,9 +11,9 @@ use crate::gpu::lock::locked;
 pub(super) struct MemoryAccount {
     used: AtomicU64,
     peak: AtomicU64,
-    /// Pieces of memory so far.
+    /// Number of memory blocks so far.
     pieces: AtomicU64,
-    /// Numbers of pieces without a handle that nobody has asked for yet.
+    /// Numbers of freed memory blocks since the last [`Self::take_freed`].
     freed: Mutex<Vec<u64>>,
 }
 
@@ -23,7 +23,7 @@ impl MemoryAccount {
         self.peak.fetch_max(used, Ordering::Relaxed);
     }
 
-    /// Numbers of the pieces that were freed since this was last asked.
+    /// Numbers of the memory blocks freed since the last call.
     pub(super) fn take_freed(&self) -> Vec<u64> {
         std::mem::take(&mut *locked(&self.freed))
     }
@@ -37,7 +37,7 @@ impl MemoryAccount {
     }
 }
 
-/// A piece of device memory; freed with its last handle.
+/// A block of device memory; freed with its last handle.
 #[derive(Debug)]
 struct Allocation {
     buffer: wgpu::Buffer,
@@ -76,23 +76,23 @@ impl<T> Buffer<T> {
         Self { allocation, len, element: PhantomData }
     }
 
-    /// Elements.
+    /// Number of elements.
     pub fn len(&self) -> usize {
         self.len
     }
 
-    /// True without elements; the memory behind is never empty.
+    /// True without elements; the underlying memory is never empty.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// The same memory seen as other elements, as many as fit.
+    /// The same memory as elements of another type, as many as fit.
     pub fn cast<U>(&self) -> Buffer<U> {
         let len = self.len * size_of::<T>() / size_of::<U>().max(1);
         Buffer { allocation: self.allocation.clone(), len, element: PhantomData }
     }
 
-    /// Bytes to bind: those of the elements, or all there are of an empty buffer.
+    /// Bytes to bind: those of the elements, or the whole memory of an empty buffer.
     pub(super) fn bytes(&self) -> u64 {
         if self.len == 0 {
             self.allocation.bytes
@@ -101,7 +101,7 @@ impl<T> Buffer<T> {
         }
     }
 
-    /// Number of the piece of memory among those of its device.
+    /// Number of its memory block on the device.
     pub(super) fn number(&self) -> u64 {
         self.allocation.number
     }

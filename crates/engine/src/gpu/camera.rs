@@ -1,4 +1,4 @@
-//! Cameras as the shaders see them.
+//! Cameras in the layout of the shaders.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -28,16 +28,16 @@ pub struct CameraUniform {
     pub tiles: [u32; 2],
     /// Screen-space low-pass, px^2.
     pub low_pass: f32,
-    /// Keep a splat's weight under the low-pass: 0 or 1.
+    /// 1 where the opacity compensates for the low-pass, else 0.
     pub low_pass_compensation: u32,
-    /// Pixels of the image.
+    /// Number of pixels of the image.
     pub n_pixels: u32,
     /// Unused.
     pub pad: u32,
 }
 
 impl CameraUniform {
-    /// The shaders' form of `view`.
+    /// `view` in the layout of the shaders.
     pub fn new(view: &RasterCamera) -> Self {
         let padded = |v: [f32; 3]| [v[0], v[1], v[2], 0.0];
         let row = |k: usize| {
@@ -61,17 +61,17 @@ impl CameraUniform {
         }
     }
 
-    /// Pixels of the image.
+    /// Number of pixels of the image.
     pub fn pixels(&self) -> usize {
         self.n_pixels as usize
     }
 
-    /// One workgroup of 16 x 16 invocations a tile.
+    /// One workgroup of 16 x 16 invocations per tile.
     pub(super) fn tile_groups(&self) -> Groups {
         Groups::Grid(self.tiles[0], self.tiles[1])
     }
 
-    /// Tiles of the image.
+    /// Number of tiles of the image.
     pub fn tile_count(&self) -> usize {
         self.tiles[0] as usize * self.tiles[1] as usize
     }

@@ -1,4 +1,4 @@
-//! What a device was asked for, counted.
+//! Counts of a device's work.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -6,38 +6,38 @@ use std::time::Duration;
 /// Running counts of a device.
 #[derive(Debug, Default)]
 pub(super) struct DeviceCounters {
-    /// Dispatches of kernels.
+    /// Number of kernel dispatches.
     pub(super) dispatches: AtomicU64,
-    /// Submissions.
+    /// Number of submissions.
     pub(super) submitted: AtomicU64,
-    /// The last submission that is known to be done.
+    /// Number of the last submission known to be complete.
     pub(super) completed: AtomicU64,
-    /// Most submissions that were not known to be done.
+    /// Maximum number of submissions in flight, i.e. not known to be complete.
     max_in_flight: AtomicU64,
-    /// Waits for the device, and nanoseconds spent in them.
+    /// Number of waits for the device; the next field has their nanoseconds.
     waits: AtomicU64,
     waited_ns: AtomicU64,
-    /// Nanoseconds spent handing work over.
+    /// Nanoseconds spent in submission.
     submitting_ns: AtomicU64,
 }
 
-/// What a device was asked for since it was opened; differences of two of them tell what lies between.
+/// Counts of a device since it was opened; the difference of two gives the counts between them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DeviceCounts {
-    /// Dispatches of kernels.
+    /// Number of kernel dispatches.
     pub dispatches: u64,
-    /// Submissions of recorded work.
+    /// Number of submissions.
     pub submissions: u64,
-    /// Times that a thread waited for the device.
+    /// Number of waits of a thread for the device.
     pub waits: u64,
-    /// How long these took in all.
+    /// Total time of the waits.
     pub waited: Duration,
-    /// How long submitting took in all; some drivers do the work meanwhile.
+    /// Total time of submission; some drivers execute the work in it.
     pub submitting: Duration,
 }
 
 impl DeviceCounters {
-    /// Counts a submission with its dispatches, that took so long to hand over; gives its number, from 1.
+    /// Counts a submission with its dispatches and its submission time; returns its number, from 1.
     pub(super) fn submit(&self, dispatches: u32, time: Duration) -> u64 {
         self.submitting_ns.fetch_add(time.as_nanos() as u64, Ordering::Relaxed);
         self.dispatches.fetch_add(u64::from(dispatches), Ordering::Relaxed);
@@ -63,7 +63,7 @@ impl DeviceCounters {
         }
     }
 
-    /// Most submissions that were not known to be done since this was last asked.
+    /// Maximum number of submissions in flight since the last call.
     #[cfg(test)]
     pub(super) fn take_max_in_flight(&self) -> u64 {
         self.max_in_flight.swap(0, Ordering::Relaxed)

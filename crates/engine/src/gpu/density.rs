@@ -1,4 +1,4 @@
-//! Density control on the device: the host chooses from a few floats a Gaussian, the model never leaves.
+//! Density control on the device: the host plans from a few floats per Gaussian; the model stays in device memory.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -27,10 +27,10 @@ impl PlanEntry {
     }
 }
 
-/// Reads what density control chooses from: 9 floats a Gaussian.
+/// Reads the signals of density control: 9 floats per Gaussian.
 ///
 /// # Errors
-/// What went wrong on the device.
+/// Errors of the device.
 pub fn read_signals(
     gpu: &Gpu,
     model: &ModelBuffers,
@@ -53,17 +53,17 @@ pub fn read_signals(
 /// The statistics since the last round.
 ///
 /// # Errors
-/// What went wrong on the device.
+/// Errors of the device.
 pub fn read_stats(gpu: &Gpu, stats: &Buffer<[f32; 2]>) -> Result<DensityStats, DeviceError> {
     let (absgrad, seen) = gpu.read(stats, 0..stats.len())?.iter().map(|s| (s[0], s[1])).unzip();
     Ok(DensityStats { absgrad, seen })
 }
 
-/// `old` after a round of density control, in new buffers; prototypes and light are shared with it. Gathered light, labels and
-/// statistics belong to the old Gaussians: the caller measures or clears them anew.
+/// `old` after a round of density control, in new buffers; prototypes and light are shared with `old`. Gathered light, labels
+/// and statistics belong to the old Gaussians: the caller must measure or clear them.
 ///
 /// # Errors
-/// When the device has no memory left for both, or a source of the plan does not exist.
+/// When the device has no memory for both, or a source of the plan does not exist.
 pub fn gather(
     recorder: &mut Recorder<'_>,
     old: &ModelBuffers,
@@ -132,7 +132,7 @@ mod tests {
         }
     }
 
-    /// The rule of halving, written as `train::density` has it.
+    /// The rule of halving, as in the CPU engine's `density`.
     fn halve(g: &mut Gaussians, i: usize, side: f32) {
         let scale: [f32; 3] = g.get(Field::LogScale, i);
         let axis = (0..3).rev().fold(0, |a, k| if scale[k] >= scale[a] { k } else { a });
@@ -146,8 +146,8 @@ mod tests {
         *opacity = (halved / (1.0 - halved)).ln();
     }
 
-    /// A round that keeps `keep` in order and splits those of them that `is_split` names: first halves in the places of
-    /// their sources, second halves at the end.
+    /// A round that keeps `keep` in order and splits the Gaussians for which `is_split` is true: the first half replaces its
+    /// source, the second halves follow at the end.
     fn plan(keep: &[u32], is_split: impl Fn(u32) -> bool) -> DensityPlan {
         let first = |i: u32| if is_split(i) { SplitOrigin::UpperHalf } else { SplitOrigin::Keep };
         let kept = keep.iter().map(|&source| PlannedGaussian { source, origin: first(source) });
@@ -156,7 +156,7 @@ mod tests {
         DensityPlan { gaussians: kept.chain(second).collect() }
     }
 
-    /// Largest difference of any field.
+    /// Largest difference over all fields.
     fn apart(a: &Gaussians, b: &Gaussians) -> f64 {
         worst(Field::ALL.map(|f| largest_difference(a.field(f), b.field(f))))
     }
@@ -167,7 +167,7 @@ mod tests {
         let gpu = Gpu::for_tests();
         for n in [1usize, 7, 300] {
             let mut model = model(n);
-            // A tie of the longest axis, an opaque and a faint one.
+            // A tie of the longest axis, an opaque and a faint Gaussian.
             model.gaussians.row_mut(Field::LogScale, 0).fill(0.25);
             model.gaussians.row_mut(Field::OpacityLogit, 0)[0] = 12.0;
             model.gaussians.row_mut(Field::OpacityLogit, n - 1)[0] = -9.0;

@@ -1,4 +1,4 @@
-//! An open device: memory, pipelines, and what to do when it fails.
+//! An open device: memory, pipelines, and error handling.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -17,30 +17,30 @@ use crate::gpu::shaders::{BindingKind, Kernel};
 use crate::gpu::timing::{StageTime, Timings};
 use crate::gpu::trusted;
 
-/// How long the host waits for the device before it gives up on it, s.
+/// Timeout of waits for the device, s.
 pub(super) const DEVICE_TIMEOUT_S: u64 = 120;
-/// Bytes of the buffer that one recording's uniforms share.
+/// Size of the buffer that the uniforms of one recording share, bytes.
 pub(super) const UNIFORM_BYTES: u64 = 256 << 10;
-/// Bytes of the smallest buffer: an empty array is still bound as one element of any kind.
+/// Size of the smallest buffer, bytes: an empty array is still bound as one element of any type.
 const MIN_BUFFER_BYTES: u64 = 256;
-/// What fresh buffers hold when garbage is asked for.
+/// Content of new buffers with the option `garbage`.
 const GARBAGE: f32 = -12345.0;
 
-/// How a device is opened.
+/// Options of an open device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct GpuOptions {
     /// Bounds checks in shaders (slow); off relies on the kernels' own guards.
     pub checks: bool,
-    /// Fill fresh buffers with garbage, so that nobody relies on zeroed memory.
+    /// Fill new buffers with garbage, to detect reliance on zeroed memory.
     pub garbage: bool,
-    /// Add floats by compare and exchange even where the device could do it natively.
+    /// Use the compare-exchange loop for float sums also where the device has float atomics.
     pub compare_exchange: bool,
-    /// Bind no more than this many bytes at once, as if the device could not.
+    /// Limit the size of a binding to this number of bytes, as on a smaller device.
     pub binding_limit: Option<u64>,
 }
 
 impl GpuOptions {
-    /// Checks as `RELUME_GPU_CHECKS` (`on`, `off`) says; unset, on in debug builds only.
+    /// Options with `checks` from `RELUME_GPU_CHECKS` (`on`, `off`); if it is unset, on in debug builds only.
     pub fn from_env() -> Self {
         let checks = match std::env::var("RELUME_GPU_CHECKS").as_deref() {
             Ok("on") => true,
@@ -51,7 +51,7 @@ impl GpuOptions {
     }
 }
 
-/// A pipeline and the layout its bind groups have.
+/// A pipeline and the layout of its bind groups.
 pub(super) struct Pipeline {
     pub(super) pipeline: wgpu::ComputePipeline,
     pub(super) layout: wgpu::BindGroupLayout,
@@ -63,10 +63,10 @@ pub(super) struct Inner {
     pub(super) report: AdapterReport,
     pub(super) uniforms: wgpu::Buffer,
     pub(super) uniform_align: u64,
-    /// Held from filling the shared uniforms to the submission that reads them.
+    /// Locked from filling the shared uniforms to the submission that reads them.
     pub(super) submitting: Mutex<()>,
     pub(super) timings: Mutex<Option<Timings>>,
-    /// Staging buffers that nothing is on its way to.
+    /// Idle staging buffers.
     pub(super) staging: Mutex<Vec<wgpu::Buffer>>,
     pub(super) counters: DeviceCounters,
     pub(super) bind_groups: BindGroups,
@@ -140,7 +140,7 @@ impl Gpu {
         Ok(Self { inner: Arc::new(inner) })
     }
 
-    /// The adapter behind this device.
+    /// Report of the device's adapter.
     pub fn report(&self) -> &AdapterReport {
         &self.inner.report
     }
@@ -150,18 +150,18 @@ impl Gpu {
         (self.inner.memory.used(), self.inner.memory.peak())
     }
 
-    /// Fails when something went wrong on the device since it was opened.
+    /// Fails when the device has had an error since it was opened.
     ///
     /// # Errors
-    /// What went wrong first.
+    /// The first error of the device.
     pub fn healthy(&self) -> Result<(), DeviceError> {
         locked(&self.inner.fault).clone().map_or(Ok(()), Err)
     }
 
-    /// Room for `len` elements, contents undefined.
+    /// A buffer of `len` elements, contents undefined.
     ///
     /// # Errors
-    /// [`DeviceError::TooLarge`] with the numbers when one binding cannot hold it, [`DeviceError::OutOfMemory`].
+    /// [`DeviceError::TooLarge`] with the numbers when it exceeds one binding; [`DeviceError::OutOfMemory`].
     pub fn buffer<T: Pod>(&self, label: &str, len: usize) -> Result<Buffer<T>, DeviceError> {
         self.healthy()?;
         self.forget_freed();
@@ -198,7 +198,7 @@ impl Gpu {
         Ok(buffer)
     }
 
-    /// Overwrites elements from `offset` on; what would lie beyond the end is left out.
+    /// Overwrites elements from `offset` on; elements beyond the end are skipped.
     pub fn write<T: Pod>(&self, buffer: &Buffer<T>, offset: usize, data: &[T]) {
         let fits = buffer.len().saturating_sub(offset).min(data.len());
         let bytes: &[u8] = bytemuck::cast_slice(&data[..fits]);
@@ -207,15 +207,15 @@ impl Gpu {
         }
     }
 
-    /// Waits until the device has done all that was submitted.
+    /// Waits until the device has completed all submissions.
     ///
     /// # Errors
-    /// [`DeviceError::Timeout`] when it takes too long, or what went wrong meanwhile.
+    /// [`DeviceError::Timeout`] after [`DEVICE_TIMEOUT_S`], or another error of the device.
     pub fn wait(&self) -> Result<(), DeviceError> {
         self.wait_for(None)
     }
 
-    /// Waits until the device has done one submission and all before it; without an index, the last one.
+    /// Waits until the device has completed one submission and all earlier ones; without an index, the last submission.
     pub(super) fn wait_for(
         &self,
         submission_index: Option<wgpu::SubmissionIndex>,
@@ -233,12 +233,12 @@ impl Gpu {
         }
     }
 
-    /// What the device was asked for so far.
+    /// Counts of the device's work so far.
     pub fn counts(&self) -> DeviceCounts {
         self.inner.counters.counts()
     }
 
-    /// Gives the device up: everything asked of it from now on fails with [`DeviceError::Lost`].
+    /// Destroys the device: every later call fails with [`DeviceError::Lost`].
     pub fn destroy(&self) {
         locked(&self.inner.fault).get_or_insert(DeviceError::Lost("it was given up".to_owned()));
         self.inner.device.destroy();
@@ -250,12 +250,12 @@ impl Gpu {
         *locked(&self.inner.timings) = able.then(Timings::default);
     }
 
-    /// What each stage took since [`Self::measure`], in order of first appearance.
+    /// Time of each stage since [`Self::measure`], in order of first appearance.
     pub fn timings(&self) -> Vec<StageTime> {
         locked(&self.inner.timings).as_ref().map(Timings::listed).unwrap_or_default()
     }
 
-    /// Lets go of memory that only bind groups hold.
+    /// Frees memory that only cached bind groups hold.
     pub(super) fn forget_freed(&self) {
         self.inner.bind_groups.forget(&self.inner.memory.take_freed());
     }
@@ -307,7 +307,7 @@ impl Gpu {
         Pipeline { pipeline, layout }
     }
 
-    /// The fault on record, or else this one.
+    /// The recorded first fault, else this one.
     pub(super) fn failure(&self, text: String) -> DeviceError {
         locked(&self.inner.fault).get_or_insert(DeviceError::Internal(text)).clone()
     }
@@ -331,7 +331,7 @@ fn layout_entry(binding: u32, kind: BindingKind) -> wgpu::BindGroupLayoutEntry {
     }
 }
 
-/// Keeps the first fault of the device: wgpu's own reaction would be to panic.
+/// Records the first fault of the device; by default wgpu panics.
 fn watch(device: &wgpu::Device, fault: &Arc<Mutex<Option<DeviceError>>>) {
     let uncaptured = fault.clone();
     device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
@@ -363,7 +363,7 @@ impl Gpu {
         SHARED.clone()
     }
 
-    /// As [`Self::for_tests`], with other options and shared with nobody.
+    /// As [`Self::for_tests`], with other options and not shared.
     pub fn with_options(options: GpuOptions) -> Self {
         let adapters = Adapters::find();
         let usable = adapters.reports().iter().position(|r| r.lacks.is_empty());

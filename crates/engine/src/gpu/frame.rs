@@ -1,5 +1,5 @@
-//! A frame on the device from attributes to images, and back from the gradient of the images to that of the splats: the
-//! one sequence of kernels that training, rendering and the comparison of engines go through.
+//! A frame on the device: from attributes to images, and backward from the gradient of the images to that of the splats.
+//! Training, rendering and the comparison of engines share this sequence of kernels.
 
 use crate::DeviceError;
 use crate::gpu::permutations::groups;
@@ -13,7 +13,7 @@ use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
 use relume_scene::ShadeAt;
 
-/// The branches of the model that a frame shows.
+/// The branches of a frame.
 #[derive(Debug, Clone)]
 pub enum FrameBranches {
     /// The radiance branch alone, over this display-referred background.
@@ -22,35 +22,35 @@ pub enum FrameBranches {
     Both(Box<Shading>),
 }
 
-/// What a frame is made of.
+/// Settings of a frame.
 #[derive(Debug, Clone)]
 pub struct FramePass {
     /// Channels that are blended: at least `Material` for both branches, `Full` where pixels are shaded.
     pub channels: Channels,
-    /// How far each pixel is blended.
+    /// When blending stops at a pixel.
     pub blending: EarlyStop,
-    /// What is shown.
+    /// Branches of the frame.
     pub branches: FrameBranches,
 }
 
-/// Gradients that [`FramePass::backward`] starts from and adds to.
+/// Gradients that [`FramePass::backward`] reads and adds to.
 #[derive(Debug, Clone, Copy)]
 pub struct FrameGradients<'a> {
-    /// Gradient by both images; that of the physically based one is read for [`FrameBranches::Both`] only.
+    /// Gradient by both images; the physically based one is read for [`FrameBranches::Both`] only.
     pub by_images: &'a Images,
-    /// Gradient by the buffers themselves (`objective::surface_terms`), two vec4 a pixel, planar.
+    /// Gradient by the buffers themselves (`objective::surface_terms`), two vec4 per pixel, planar.
     pub by_buffers: &'a Buffer<[f32; 4]>,
-    /// Added to: gradient by the light tables, laid out as they are. The caller clears it.
+    /// Accumulates the gradient by the light tables, in their layout. The caller clears it.
     pub by_tables: &'a Buffer<f32>,
-    /// Channels whose gradient is carried back.
+    /// Channels that are differentiated.
     pub differentiated: Channels,
 }
 
 impl FramePass {
-    /// Attributes, shading where it is done at the Gaussians, and blending.
+    /// Attributes, shading for models shaded at their Gaussians, and blending.
     ///
     /// # Errors
-    /// [`DeviceError::Misuse`] when channels, branches and model do not fit each other, or as
+    /// [`DeviceError::Misuse`] when channels, branches and model are inconsistent, or as
     /// [`Gpu::buffer`](crate::gpu::Gpu::buffer).
     pub fn forward<'r>(
         &self,
@@ -64,7 +64,7 @@ impl FramePass {
         attributed.blend(recorder, self.blending)
     }
 
-    /// The images of a frame of this pass; the physically based one for [`FrameBranches::Both`] only.
+    /// The images of a frame of this pass; the physically based image for [`FrameBranches::Both`] only.
     ///
     /// # Errors
     /// [`DeviceError::Misuse`] when there is no kernel for the number of visibility coefficients.
@@ -88,7 +88,7 @@ impl FramePass {
         Ok(())
     }
 
-    /// The way back through [`Self::images`] and [`Self::forward`] to the splats.
+    /// The backward pass through [`Self::images`] and [`Self::forward`] to the splats.
     ///
     /// # Errors
     /// As [`Self::forward`].
@@ -101,7 +101,7 @@ impl FramePass {
         let (seen, carried) = (groups(self.channels), groups(gradients.differentiated));
         let by_gbuffer = frame.gradient_buffer(carried)?;
         recorder.stage("shade backward");
-        // The G-buffer read, its gradient written, images and buffer gradients read; four taps of a table a coefficient.
+        // G-buffer read, its gradient written, images and buffer gradients read; four taps of a table per coefficient.
         let pixels = frame.camera().pixels() as u64;
         recorder.work(
             pixels * 16 * (seen + carried + 4) as u64,
@@ -143,7 +143,7 @@ impl FramePass {
         Ok(())
     }
 
-    /// The shading, if it is done at the Gaussians.
+    /// The shading, for models shaded at their Gaussians.
     fn shaded_at_gaussians(&self) -> Option<&Shading> {
         match &self.branches {
             FrameBranches::Both(shading) if shading.options.shade_at == ShadeAt::Gaussian => Some(shading),

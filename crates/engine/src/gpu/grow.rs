@@ -1,4 +1,4 @@
-//! Buffers that are kept from one use to the next and only grow.
+//! Buffers that are reused and only grow.
 
 use bytemuck::Pod;
 
@@ -6,9 +6,9 @@ use crate::DeviceError;
 use crate::gpu::buffer::Buffer;
 use crate::gpu::device::Gpu;
 
-/// Makes `buffer` at least `len` elements long; what it held is lost when it has to grow.
+/// Makes `buffer` at least `len` elements long. A buffer that grows loses its content.
 ///
-/// It grows by a quarter at least, so that slowly growing needs do not allocate each time.
+/// It grows by at least a quarter, so that slow growth does not allocate on each use.
 ///
 /// # Errors
 /// As [`Gpu::buffer`].
@@ -22,7 +22,7 @@ pub fn grow<T: Pod>(
         return Ok(kept.clone());
     }
     let roomy = buffer.as_ref().map_or(len, |b| len.max(b.len() + b.len() / 4));
-    // The old memory goes first: both at once may not fit.
+    // The old memory is freed first: both at once may not fit.
     *buffer = None;
     let made = gpu.buffer(label, roomy).or_else(|_| gpu.buffer(label, len))?;
     Ok(buffer.insert(made).clone())

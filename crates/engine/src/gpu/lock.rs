@@ -1,8 +1,8 @@
-//! Locks.
+//! Locking without poisoning.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// A lock whose data is whole whatever happened to its last holder.
+/// Locks a mutex whose data stays valid when a holder panics.
 pub(super) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,7 +1,7 @@
 //! The GPU engine: the model of `docs/MODEL.md` in WGSL (`shaders/`), on any Vulkan, Metal or DX12 device.
 //!
-//! One module a family of kernels; each holds the buffers its kernels work on and the tests that hold them against the
-//! CPU engine. Data layouts are written down where the shaders declare them (`shaders/shared/`).
+//! One module per family of kernels. Each module has the buffers of its kernels and the tests that compare the kernels with
+//! the CPU engine. The shaders document data layouts where they declare them (`shaders/shared/`).
 
 mod adapter;
 mod attribute_source;

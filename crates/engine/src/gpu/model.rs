@@ -10,17 +10,18 @@ use relume_scene::{
     VisibilityForm,
 };
 
-/// `Layout` of the generated piece `parameters` (`build/generated.rs`): where each field starts in the planar parameter buffer.
+/// `Layout` of the generated piece `parameters` (`build/generated.rs`): the start of each field in the planar parameter
+/// buffer.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
 pub struct LayoutUniform {
-    /// Gaussians.
+    /// Number of Gaussians.
     pub n: u32,
-    /// Prototype scores a Gaussian has.
+    /// Prototype scores per Gaussian.
     pub n_scores: u32,
-    /// Visibility coefficients a Gaussian has.
+    /// Visibility coefficients per Gaussian.
     pub n_visibility: u32,
-    /// Radiance coefficients a Gaussian has, RGB each.
+    /// Radiance coefficients per Gaussian, RGB each.
     pub n_radiance: u32,
     /// First float of each field, in storage order.
     pub first: [u32; Field::COUNT],
@@ -38,10 +39,10 @@ pub struct LayoutUniform {
     pub pad: [u32; PAD],
 }
 
-/// Members that fill the layout up to whole vectors.
+/// Number of members that pad the layout to whole vectors.
 const PAD: usize = (Field::COUNT + 9).next_multiple_of(4) - (Field::COUNT + 9);
 
-/// The shaders' code of a form of visibility.
+/// The shaders' code of a visibility form.
 pub(super) fn visibility_code(form: VisibilityForm) -> u32 {
     match form {
         VisibilityForm::Off => codes::VISIBILITY_OFF,
@@ -50,7 +51,7 @@ pub(super) fn visibility_code(form: VisibilityForm) -> u32 {
     }
 }
 
-/// The shaders' code of a form of the diffuse term.
+/// The shaders' code of a diffuse form.
 pub(super) fn diffuse_code(form: DiffuseForm) -> u32 {
     match form {
         DiffuseForm::AmbientOcclusion => codes::DIFFUSE_AMBIENT_OCCLUSION,
@@ -58,7 +59,7 @@ pub(super) fn diffuse_code(form: DiffuseForm) -> u32 {
     }
 }
 
-/// The shaders' code of where surfaces are shaded.
+/// The shaders' code of the place of shading.
 pub(super) fn shade_at_code(shade_at: ShadeAt) -> u32 {
     match shade_at {
         ShadeAt::Pixel => codes::SHADE_AT_PIXEL,
@@ -97,7 +98,7 @@ impl LayoutUniform {
         self.first[field as usize] as usize
     }
 
-    /// Floats a Gaussian has in `field`.
+    /// Floats per Gaussian in `field`.
     fn width(&self, field: Field) -> u32 {
         match field.width() {
             FieldWidth::Fixed(floats) => floats as u32,
@@ -124,7 +125,7 @@ impl LayoutUniform {
         self.indirect_form == codes::INDIRECT_LEARNED
     }
 
-    /// Floats of all Gaussians together.
+    /// Number of floats of all Gaussians.
     pub fn floats(&self) -> usize {
         Field::ALL.iter().map(|field| self.width(*field) as usize).sum::<usize>() * self.n as usize
     }
@@ -133,13 +134,13 @@ impl LayoutUniform {
 /// A model with its optimiser's moments in device memory.
 #[derive(Debug, Clone)]
 pub struct ModelBuffers {
-    /// Where each field of the Gaussians is.
+    /// Position of each field of the Gaussians.
     pub layout: LayoutUniform,
     /// Raw parameters of the Gaussians, planar.
     pub params: Buffer<f32>,
-    /// Their first moments, likewise.
+    /// Their first moments, planar.
     pub first: Buffer<f32>,
-    /// Their second moments, likewise.
+    /// Their second moments, planar.
     pub second: Buffer<f32>,
     /// Albedo prototypes, then the raw environment, RGB each.
     pub globals: Buffer<f32>,
@@ -147,9 +148,9 @@ pub struct ModelBuffers {
     pub globals_first: Buffer<f32>,
     /// Second moments of `globals`.
     pub globals_second: Buffer<f32>,
-    /// Albedo prototypes K.
+    /// Number K of albedo prototypes.
     pub n_prototypes: usize,
-    /// Texels of the environment.
+    /// Number of texels of the environment.
     pub n_texels: usize,
 }
 
@@ -191,10 +192,10 @@ impl ModelBuffers {
         self.layout.n == 0
     }
 
-    /// The Gaussians as they are now, shaped like `shape` but for their number; `buffer` is the parameters or a moment.
+    /// The current Gaussians, with the widths of `shape`; `buffer` is the parameters or a moment.
     ///
     /// # Errors
-    /// What went wrong on the device.
+    /// Errors of the device.
     pub fn read_gaussians(
         &self,
         gpu: &Gpu,
@@ -207,10 +208,10 @@ impl ModelBuffers {
         Ok(out)
     }
 
-    /// Prototypes and environment as they are now (or their moments).
+    /// The current prototypes and environment, or their moments.
     ///
     /// # Errors
-    /// What went wrong on the device.
+    /// Errors of the device.
     pub fn read_globals(&self, gpu: &Gpu, buffer: &Buffer<f32>) -> Result<[Vec<[f32; 3]>; 2], DeviceError> {
         let values = gpu.read(buffer, 0..3 * (self.n_prototypes + self.n_texels))?;
         let (prototypes, texels) = values.split_at(3 * self.n_prototypes);
@@ -223,7 +224,7 @@ pub fn planar(g: &Gaussians) -> Vec<f32> {
     Field::ALL.iter().flat_map(|f| g.field(*f).iter().copied()).collect()
 }
 
-/// Writes a planar array back into `g`, which has its shape. Elements beyond the array's end are left alone.
+/// Writes a planar array back into `g`, which must have its shape. Elements beyond the array's end are unchanged.
 pub fn from_planar(values: &[f32], g: &mut Gaussians) {
     let mut rest = values;
     for (_, _, data) in g.fields_mut() {

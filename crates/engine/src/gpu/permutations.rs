@@ -1,21 +1,21 @@
-//! Which permutation of a kernel serves a number of channels or of visibility coefficients.
+//! Selection of a kernel permutation by the number of channels or of visibility coefficients.
 
 use crate::DeviceError;
 use crate::gpu::shaders::Kernel;
 use relume_layout::channel::Channels;
 
-/// The numbers of groups that kernels are compiled for, ascending.
+/// Numbers of groups for which kernels are compiled, ascending.
 const GROUPS: [usize; 9] = [1, 2, 4, 6, 8, 9, 12, 14, 18];
 
-/// How many groups of four channels a pass over `channels` carries.
+/// Number of groups of four channels in a pass over `channels`.
 pub fn groups(channels: Channels) -> usize {
     channels.stored() / 4
 }
 
-/// The kernel for `groups` groups of channels; `kernels` are those of [`GROUPS`].
+/// The kernel for `groups` groups of channels; `kernels` are in the order of [`GROUPS`].
 ///
 /// # Errors
-/// [`DeviceError::Misuse`] when no kernel was compiled for them.
+/// [`DeviceError::Misuse`] when no kernel is compiled for this number.
 pub(super) fn by_groups(
     groups: usize,
     kernels: [&'static Kernel; 9],
@@ -26,10 +26,10 @@ pub(super) fn by_groups(
         .ok_or_else(|| DeviceError::Misuse(format!("no kernel for {groups} groups of channels")))
 }
 
-/// The kernel for a visibility field of `coefficients`; `kernels` are those of orders 0 to 6.
+/// The kernel for a visibility field with `coefficients` coefficients; `kernels` are those of degrees 0 to 6.
 ///
 /// # Errors
-/// [`DeviceError::Misuse`] when no field has that many coefficients.
+/// [`DeviceError::Misuse`] when no degree has this number of coefficients.
 pub(super) fn by_coefficients(
     coefficients: usize,
     kernels: [&'static Kernel; 7],

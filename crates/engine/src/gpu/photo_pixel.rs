@@ -1,10 +1,10 @@
-//! Photographs as the shaders read them (`shaders/shared/photo.wgsl`).
+//! Pixels of photographs in the layout of the shaders (`shaders/shared/photo.wgsl`).
 
-/// Red and green, then blue and mask of a pixel: levels of 1/65535, the first in the lower half of a word. Levels of 1/255 are
-/// among them.
+/// Red and green, then blue and mask of a pixel: levels of 1/65535, the first of each pair in the lower half of the word.
+/// Levels of 1/255 are exact.
 pub type PhotoPixel = [u32; 2];
 
-/// The levels nearest to `r g b` and mask, clamped to [0, 1].
+/// The nearest levels of `r g b` and mask, clamped to [0, 1].
 pub fn photo_pixel(pixel: [f32; 4]) -> PhotoPixel {
     let [r, g, b, mask] = pixel.map(|v| (v.clamp(0.0, 1.0) * 65_535.0).round() as u32);
     [r | g << 16, b | mask << 16]

@@ -1,5 +1,5 @@
-//! What comes back from the device: ranges of buffers, copied behind the work that fills them and awaited on their own, so
-//! that nobody waits for what others submitted later.
+//! Readback from the device: ranges of buffers, copied after the work that fills them. A thread waits for its own submission
+//! alone, not for later submissions of others.
 
 use std::marker::PhantomData;
 use std::ops::Range;
@@ -14,14 +14,14 @@ use crate::gpu::buffer::Buffer;
 use crate::gpu::device::{DEVICE_TIMEOUT_S, Gpu};
 use crate::gpu::lock::locked;
 
-/// Bytes of staging buffers kept for later fetches.
+/// Maximum size of the pool of staging buffers, bytes.
 const MAX_POOLED_BYTES: u64 = 256 << 20;
-/// Bytes of the smallest staging buffer.
+/// Size of the smallest staging buffer, bytes.
 const MIN_STAGING_BYTES: u64 = 4096;
-/// Where a range may start in a staging buffer, bytes.
+/// Alignment of a range in a staging buffer, bytes.
 const ALIGNMENT: u64 = 16;
 
-/// A claim to a range of a buffer that a submission brings back.
+/// Ticket for a range of a buffer that a submission copies to the host.
 #[derive(Debug)]
 pub struct ReadbackTicket<T> {
     /// First byte in the staging buffer.
@@ -30,7 +30,7 @@ pub struct ReadbackTicket<T> {
     element: PhantomData<fn() -> T>,
 }
 
-/// Copies that end a recording.
+/// Copies at the end of a recording.
 #[derive(Default)]
 pub(super) struct ReadbackCopies {
     copies: Vec<(wgpu::Buffer, Range<u64>, u64)>,
@@ -38,14 +38,14 @@ pub(super) struct ReadbackCopies {
 }
 
 impl ReadbackCopies {
-    /// Adds elements of a buffer; what would lie beyond its end is left out.
+    /// Adds elements of a buffer; elements beyond its end are skipped.
     pub(super) fn add<T>(&mut self, buffer: &Buffer<T>, range: Range<usize>) -> ReadbackTicket<T> {
         let range = range.start.min(buffer.len())..range.end.min(buffer.len());
         if range.is_empty() {
             return ReadbackTicket { start: 0, len: 0, element: PhantomData };
         }
         let (first, end) = (range.start * size_of::<T>(), range.end * size_of::<T>());
-        // Copies are in units of four bytes.
+        // Copies have a unit of four bytes.
         let copied = (first / 4 * 4) as u64..end.next_multiple_of(4) as u64;
         let at = self.bytes.next_multiple_of(ALIGNMENT);
         self.bytes = at + copied.end - copied.start;
@@ -53,7 +53,7 @@ impl ReadbackCopies {
         ReadbackTicket { start: at as usize + first % 4, len: range.len(), element: PhantomData }
     }
 
-    /// Records the copies; gives the staging buffer they go to, if there are any.
+    /// Records the copies; returns their staging buffer, if there are any.
     ///
     /// # Errors
     /// [`DeviceError::OutOfMemory`] when there is no memory for it.
@@ -73,13 +73,13 @@ impl ReadbackCopies {
     }
 }
 
-/// A staging buffer with copies on their way.
+/// A staging buffer with pending copies.
 pub(super) struct Staging {
     buffer: wgpu::Buffer,
     bytes: u64,
 }
 
-/// Work that was handed to the device.
+/// Submitted work.
 pub struct Submission {
     gpu: Gpu,
     index: wgpu::SubmissionIndex,
@@ -89,7 +89,7 @@ pub struct Submission {
 }
 
 impl Submission {
-    /// The submission with `index`, that brings back what was copied to `staging`.
+    /// The submission `index`, whose data is copied to `staging`.
     pub(super) fn new(
         gpu: &Gpu,
         index: wgpu::SubmissionIndex,
@@ -106,7 +106,7 @@ impl Submission {
         Self { gpu: gpu.clone(), index, number, fetched }
     }
 
-    /// Waits until the device has done it, but not for what was submitted later.
+    /// Waits until the device has completed it; does not wait for later submissions.
     ///
     /// # Errors
     /// As [`Gpu::wait`].
@@ -116,15 +116,15 @@ impl Submission {
         Ok(())
     }
 
-    /// Waits likewise; gives what it brought back.
+    /// Waits as [`Self::wait`] and returns its data.
     ///
     /// # Errors
-    /// Whatever went wrong on the device meanwhile.
+    /// Errors of the device.
     pub fn wait_for_data(self) -> Result<ReadbackData, DeviceError> {
         self.wait()?;
         let gpu = self.gpu;
         let Some((staging, mapped)) = self.fetched else { return Ok(ReadbackData { gpu, staging: None }) };
-        // The callback may run in another thread that waits too, a moment after this one's wait is over.
+        // The callback may run in another waiting thread, shortly after this thread's wait ends.
         match mapped.recv_timeout(Duration::from_secs(DEVICE_TIMEOUT_S)) {
             Ok(Ok(())) => Ok(ReadbackData { gpu, staging: Some(staging) }),
             other => Err(gpu.failure(format!("a buffer could not be read: {other:?}"))),
@@ -132,17 +132,17 @@ impl Submission {
     }
 }
 
-/// What a submission brought back, in memory that the device wrote.
+/// Data of a submission, in memory that the device wrote.
 pub struct ReadbackData {
     gpu: Gpu,
     staging: Option<Staging>,
 }
 
 impl ReadbackData {
-    /// Shows the elements of a ticket of this submission to `look`.
+    /// Calls `look` with the elements of a ticket of this submission.
     ///
     /// # Errors
-    /// Whatever went wrong on the device meanwhile.
+    /// Errors of the device.
     pub fn with<T: Pod, R>(
         &self,
         ticket: &ReadbackTicket<T>,
@@ -175,19 +175,19 @@ impl Drop for ReadbackData {
         staging.buffer.unmap();
         let mut kept = locked(&self.gpu.inner.staging);
         kept.push(staging.buffer);
-        // Those that were used longest ago make room.
+        // The least recently used buffers are freed.
         while kept.iter().map(wgpu::Buffer::size).sum::<u64>() > MAX_POOLED_BYTES {
             kept.remove(0);
         }
     }
 }
 
-/// Keeps a thread's work close to the device: of what went through it, two submissions at most are not done.
+/// Limits a thread to two incomplete submissions.
 #[derive(Default)]
 pub struct InFlightLimit(Option<Submission>);
 
 impl InFlightLimit {
-    /// Waits for the submission before this one.
+    /// Waits for the previous submission and keeps this one.
     ///
     /// # Errors
     /// As [`Submission::wait`].
@@ -208,10 +208,10 @@ impl InFlightLimit {
 }
 
 impl Gpu {
-    /// Copies elements to the host; waits for the device.
+    /// Copies elements to the host and waits for the device.
     ///
     /// # Errors
-    /// Whatever went wrong on the device meanwhile.
+    /// Errors of the device.
     pub fn read<T: Pod>(&self, buffer: &Buffer<T>, range: Range<usize>) -> Result<Vec<T>, DeviceError> {
         self.healthy()?;
         let mut recorder = self.record();
@@ -222,7 +222,7 @@ impl Gpu {
         recorder.submit()?.wait_for_data()?.read(&ticket)
     }
 
-    /// The smallest of the kept staging buffers that is large enough, or a new one.
+    /// The smallest sufficient staging buffer of the pool, or a new one.
     fn staging(&self, bytes: u64) -> Result<wgpu::Buffer, DeviceError> {
         let mut kept = locked(&self.inner.staging);
         let fitting = (0..kept.len()).filter(|&i| kept[i].size() >= bytes).min_by_key(|&i| kept[i].size());

@@ -11,17 +11,17 @@ use crate::gpu::lock::locked;
 use crate::gpu::readback::{ReadbackCopies, ReadbackTicket, Submission};
 use crate::gpu::shaders::Kernel;
 
-/// Most workgroups in one dimension of a dispatch.
+/// Maximum number of workgroups in one dimension of a dispatch.
 const MAX_WORKGROUPS: u64 = 65_535;
-/// Stages that one submission can time.
+/// Maximum number of timed stages per submission.
 const MAX_STAGES: u32 = 128;
 
-/// How many workgroups a dispatch has.
+/// Workgroups of a dispatch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Groups {
-    /// Enough for this many invocations, folded into two dimensions (`invocation_ix` of `index.wgsl`).
+    /// Enough workgroups for this number of invocations, folded into two dimensions (`invocation_ix` of `index.wgsl`).
     Linear(usize),
-    /// This many workgroups, folded into two dimensions (`workgroup_ix` of `index.wgsl`).
+    /// This number of workgroups, folded into two dimensions (`workgroup_ix` of `index.wgsl`).
     Workgroups(usize),
     /// Columns and rows, each at most 65,535.
     Grid(u32, u32),
@@ -44,7 +44,7 @@ impl Groups {
 
 /// One binding of a dispatch.
 pub enum Bind<'a> {
-    /// A buffer, the bytes of it that are elements, so that `arrayLength` counts those, and the number of its memory.
+    /// A buffer, the size of its elements in bytes (so that `arrayLength` counts these), and the number of its memory block.
     Buffer(&'a wgpu::Buffer, u64, u64),
     /// The bytes of a uniform struct.
     Uniform(Vec<u8>),
@@ -57,7 +57,7 @@ impl<'a, T> From<&'a Buffer<T>> for Bind<'a> {
 }
 
 impl Bind<'_> {
-    /// Its entry in a bind group; a uniform lies in `uniforms`, at an offset that each dispatch gives.
+    /// Its entry in a bind group. A uniform lies in `uniforms`, at an offset that each dispatch gives.
     fn entry<'b>(&'b self, binding: u32, uniforms: &'b wgpu::Buffer) -> wgpu::BindGroupEntry<'b> {
         let (buffer, bytes) = match self {
             Self::Buffer(buffer, bytes, _) => (*buffer, *bytes),
@@ -81,7 +81,7 @@ pub fn uniform<T: bytemuck::Pod>(value: &T) -> Bind<'static> {
     Bind::Uniform(bytemuck::bytes_of(value).to_vec())
 }
 
-/// Work for the device, in order; nothing happens before [`Recorder::submit`].
+/// A recording of work for the device, in order; [`Recorder::submit`] submits it.
 pub struct Recorder<'g> {
     gpu: &'g Gpu,
     encoder: wgpu::CommandEncoder,
@@ -127,12 +127,12 @@ impl<'g> Recorder<'g> {
         }
     }
 
-    /// The device recorded for.
+    /// The device of the recording.
     pub fn gpu(&self) -> &'g Gpu {
         self.gpu
     }
 
-    /// Names what follows, for [`Gpu::timings`].
+    /// Starts a stage with this name, for [`Gpu::timings`].
     pub fn stage(&mut self, name: &'static str) {
         if self.stage != name {
             self.stage = name;
@@ -142,14 +142,14 @@ impl<'g> Recorder<'g> {
         }
     }
 
-    /// Says what the current stage has to move and compute at the least, for the comparison with the device's limits.
+    /// Adds to the minimum bytes and operations of the current stage, for the comparison with the device's limits.
     pub fn work(&mut self, bytes: u64, flops: u64) {
         if self.queries.is_some() {
             self.work.push((self.stage, bytes, flops));
         }
     }
 
-    /// Runs `kernel` with `bindings` 0, 1, 2, ...; a dispatch without workgroups is left out.
+    /// Dispatches `kernel` with `bindings` 0, 1, 2, ...; a dispatch without workgroups is skipped.
     pub fn dispatch(&mut self, kernel: &'static Kernel, groups: Groups, bindings: &[Bind<'_>]) {
         debug_assert_eq!(bindings.len(), kernel.bindings.len(), "bindings of {}", kernel.name);
         let [x, y] = groups.dimensions(kernel.workgroup);
@@ -215,18 +215,18 @@ impl<'g> Recorder<'g> {
         self.encoder.copy_buffer_to_buffer(from.raw(), source, to.raw(), target, bytes(len));
     }
 
-    /// Brings elements of a buffer to the host, as they are after all that is recorded, whenever it was asked for; what would
-    /// lie beyond the end is left out.
+    /// Requests a copy of elements of a buffer to the host, in their state at the end of the recording. Elements beyond the
+    /// end are skipped.
     pub fn fetch<T>(&mut self, buffer: &Buffer<T>, range: Range<usize>) -> ReadbackTicket<T> {
         self.fetches.add(buffer, range)
     }
 
-    /// Hands everything to the device.
+    /// Submits everything to the device.
     ///
     /// # Errors
-    /// A fault of the device, of this or of earlier work.
+    /// Errors of the device, from this or from earlier work.
     pub fn submit(mut self) -> Result<Submission, DeviceError> {
-        // How long the host takes to hand over; the device works on after it.
+        // The span measures the submission by the host; the device continues after it.
         let _span = tracing::debug_span!("kernels", dispatches = self.dispatches).entered();
         self.pass = None;
         let inner = &self.gpu.inner;
@@ -270,8 +270,8 @@ impl<'g> Recorder<'g> {
         Ok(submission)
     }
 
-    /// Puts the uniforms among `bindings` where this recording keeps its own and gives their offsets; in a buffer of their own,
-    /// given too, when the shared one is full.
+    /// Appends the uniforms among `bindings` to this recording's uniforms and returns their offsets. When the shared buffer is
+    /// full, they go to a separate buffer, which is returned as well.
     fn place(&mut self, bindings: &[Bind<'_>]) -> Result<Vec<u32>, (wgpu::Buffer, Vec<u32>)> {
         let inner = &self.gpu.inner;
         let structs = || {
@@ -294,7 +294,7 @@ impl<'g> Recorder<'g> {
         if self.uniforms.len() as u64 + most <= UNIFORM_BYTES {
             return Ok(append(&mut self.uniforms));
         }
-        // A very long recording.
+        // The recording has more uniforms than the shared buffer holds.
         let mut own = Vec::new();
         let offsets = append(&mut own);
         let buffer = inner.device.create_buffer(&wgpu::BufferDescriptor {

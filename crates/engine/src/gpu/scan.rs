@@ -17,7 +17,7 @@ struct ScanSize {
     pad_b: u32,
 }
 
-/// Memory for prefix sums, kept from one to the next.
+/// Memory for prefix sums, reused by each call.
 #[derive(Debug, Default)]
 pub struct Scan {
     levels: Vec<ScanLevel>,
@@ -31,8 +31,8 @@ struct ScanLevel {
 }
 
 impl Scan {
-    /// `output[i] = input[0] + .. + input[i - 1]` for i = 0..=n: `output` holds `n + 1` elements or more and ends with
-    /// the total. Sums wrap at 2^32.
+    /// `output[i] = input[0] + .. + input[i - 1]` for i = 0..=n. `output` has at least `n + 1` elements; element n is the
+    /// total. Sums wrap at 2^32.
     ///
     /// # Errors
     /// [`DeviceError::Misuse`] when a buffer is too short, or as

@@ -1,4 +1,4 @@
-//! A short proof that a device computes.
+//! A short test that a device computes correctly.
 
 use crate::DeviceError;
 use crate::gpu::buffer::Buffer;
@@ -7,10 +7,10 @@ use crate::gpu::recorder::Groups;
 use crate::gpu::shaders;
 
 impl Gpu {
-    /// Proves that dispatches, float accumulation and transfers work on this device.
+    /// Tests that dispatches, float accumulation and transfers work on this device.
     ///
     /// # Errors
-    /// [`DeviceError::Internal`] when the device computes something else, or what went wrong.
+    /// [`DeviceError::Internal`] for a wrong result, or another error of the device.
     pub fn self_test(&self) -> Result<(), DeviceError> {
         let n = 100_000;
         let seen: Buffer<u32> = self.buffer("self-test", n)?;

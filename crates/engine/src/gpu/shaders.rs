@@ -1,13 +1,13 @@
-//! The compiled shaders: text, bindings and struct layouts, as the build script checked them.
+//! The shaders that the build script expanded and validated: text, bindings and struct layouts.
 
 /// A compute shader with one entry point `main`.
 #[derive(Debug)]
 pub struct Kernel {
     /// Name of the permutation.
     pub name: &'static str,
-    /// WGSL.
+    /// WGSL text.
     pub source: &'static str,
-    /// WGSL for devices without float atomics, where it differs.
+    /// WGSL text for devices without float atomics, where it differs.
     pub fallback: Option<&'static str>,
     /// Workgroup size.
     pub workgroup: [u32; 3],
@@ -17,14 +17,14 @@ pub struct Kernel {
     pub structs: &'static [StructLayout],
 }
 
-/// What a binding is.
+/// Kind of a binding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BindingKind {
-    /// A small constant struct.
+    /// A uniform struct.
     Uniform,
-    /// A buffer that is only read.
+    /// A read-only storage buffer.
     Read,
-    /// A buffer that is written.
+    /// A read-write storage buffer.
     Write,
 }
 
@@ -35,7 +35,7 @@ pub struct StructLayout {
     pub name: &'static str,
     /// Its size.
     pub size: usize,
-    /// Names and offsets.
+    /// Member names and offsets.
     pub members: &'static [(&'static str, usize)],
 }
 
@@ -48,7 +48,7 @@ impl Kernel {
 
 include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
 
-/// Asserts that a host struct has the size and the member offsets of its WGSL twin.
+/// Asserts that a host struct has the size and the member offsets of its WGSL counterpart.
 #[cfg(test)]
 macro_rules! assert_layout {
     ($host:ty as $name:literal in $shader:expr; $($member:ident),+ $(,)?) => {
@@ -63,7 +63,7 @@ pub(crate) use assert_layout;
 
 #[cfg(test)]
 mod tests {
-    /// The viewer's bundle is built without this crate, so it has a copy of its shaders. With RELUME_ACCEPT set it is renewed.
+    /// The viewer is built without this crate, so it has a copy of its shaders. With RELUME_ACCEPT set the test renews the copy.
     #[test]
     fn viewer_shaders_match_this_engine() {
         let made = include_str!(concat!(env!("OUT_DIR"), "/viewer_shaders.json"));

@@ -8,7 +8,7 @@ use crate::gpu::scan::Scan;
 use crate::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
 use relume_layout::kernel_constants::SORT_BLOCK;
 
-/// Most bits a pass sorts by.
+/// Maximum number of bits per sort pass.
 const PASS_BITS: u32 = 8;
 
 /// `SortPass` of `shared/radix.wgsl`.
@@ -26,16 +26,16 @@ struct SortPass {
 pub struct Pairs {
     /// Keys.
     pub keys: Buffer<u32>,
-    /// Values, in step with the keys.
+    /// Values, parallel to the keys.
     pub values: Buffer<u32>,
 }
 
-/// How many pairs there are.
+/// Number of pairs.
 #[derive(Debug, Clone, Copy)]
 pub struct PairCount<'a> {
-    /// As many, or more: memory is laid out for this number.
+    /// Upper bound of the number of pairs; memory is allocated for it.
     pub most: usize,
-    /// Element 0 is the number where only the device knows it; above `most` it counts as that.
+    /// Where only the device knows the number: element 0, clamped to `most`.
     pub counted: Option<&'a Buffer<u32>>,
 }
 
@@ -45,7 +45,7 @@ impl From<usize> for PairCount<'_> {
     }
 }
 
-/// Memory for sorting, kept from one sort to the next.
+/// Memory for sorting, reused by each sort.
 #[derive(Debug, Default)]
 pub struct Sorter {
     /// One element, larger than any number of pairs.
@@ -58,8 +58,8 @@ pub struct Sorter {
 }
 
 impl Sorter {
-    /// The first `n` pairs in ascending order of the lowest `bits` bits of their keys (1 to 32); equal keys keep
-    /// their order. The input is left as it is; the result lies in this sorter's memory and lasts until its next sort.
+    /// The first `n` pairs in ascending order of the lowest `bits` bits of their keys (1 to 32); equal keys keep their order.
+    /// The input is unchanged. The result lies in this sorter's memory and is valid until the next sort.
     /// Elements beyond `n` are undefined.
     ///
     /// # Errors
@@ -87,7 +87,7 @@ impl Sorter {
         let mut from = Pairs { keys: keys.clone(), values: values.clone() };
         let mut shift = 0;
         for pass in 0..n_passes {
-            // Bits are shared out evenly: a smaller table of counts costs less.
+            // Bits are distributed evenly over the passes: smaller tables of counts cost less.
             let pass_bits = (bits - shift).div_ceil(n_passes - pass);
             let side = pass as usize % 2;
             let to = Pairs {
@@ -101,7 +101,7 @@ impl Sorter {
         Ok(from)
     }
 
-    /// One element, larger than any number of pairs, for kernels that are told how many there are.
+    /// One element, larger than any number of pairs, for kernels with a number that the host knows.
     pub(super) fn unlimited(&mut self, gpu: &Gpu) -> Result<Buffer<u32>, DeviceError> {
         match &self.unlimited {
             Some(unlimited) => Ok(unlimited.clone()),
@@ -228,7 +228,7 @@ mod tests {
             let keys = vec![key; 4100];
             assert_eq!(sorted(&gpu, &mut sorter, &keys, 32), expected(&keys, 32), "{key:x}");
         }
-        // Few distinct keys: stability decides nearly everything. The last digit is also the filling's.
+        // Few distinct keys: stability decides almost the whole order. The last digit is also that of the padding.
         let keys: Vec<u32> =
             random(5000, 3).iter().map(|k| if k % 3 == 0 { u32::MAX } else { k % 4 }).collect();
         assert_eq!(sorted(&gpu, &mut sorter, &keys, 32), expected(&keys, 32));

@@ -1,4 +1,4 @@
-//! Tests of the ground everything stands on: dispatches, accumulation, transfers, errors, shared shader pieces.
+//! Tests of the basics: dispatches, accumulation, transfers, errors, shared shader pieces.
 
 use crate::DeviceError;
 use crate::RasterCamera;

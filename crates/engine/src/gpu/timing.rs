@@ -1,15 +1,15 @@
-//! Time and work of the device, stage by stage.
+//! Time and work of the device per stage.
 
-/// What a stage took and had to do, summed over all its submissions.
+/// Time and work of a stage, summed over all submissions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StageTime {
     /// Name of the stage.
     pub name: &'static str,
     /// Milliseconds on the device.
     pub ms: f64,
-    /// Bytes it has to move at the least; 0 where nobody counted.
+    /// Minimum of bytes read and written; 0 where they are not counted.
     pub bytes: f64,
-    /// Floating-point operations; 0 where nobody counted.
+    /// Floating-point operations; 0 where they are not counted.
     pub flops: f64,
 }
 

@@ -6,7 +6,7 @@ use num_traits::Float;
 
 use relume_layout::light::LUT_SIZE;
 
-/// GGX normal distribution, `alpha = roughness^2`, per steradian of half vectors.
+/// GGX normal distribution, per steradian of half vectors; `alpha = roughness^2`.
 pub fn ggx_d(cos_h: f64, alpha: f64) -> f64 {
     let a2 = alpha * alpha;
     let denominator = cos_h * cos_h * (a2 - 1.0) + 1.0;
@@ -54,7 +54,7 @@ impl BrdfLut {
         Self { resolution, values }
     }
 
-    /// A table given from outside, `[roughness][n.v]`, e.g. another implementation's.
+    /// A table from the given values, `[roughness][n.v]`, e.g. of another implementation.
     ///
     /// Returns `None` when `values` is not `resolution^2` long.
     pub fn from_values(resolution: usize, values: Vec<[f32; 2]>) -> Option<Self> {
@@ -144,7 +144,7 @@ mod tests {
         let lut = BrdfLut::shared();
         for r in 0..=20 {
             for v in 0..=20 {
-                // F0 = 1: everything the microfacets do not shadow comes back.
+                // F0 = 1: the surface reflects everything that the microfacets do not shadow.
                 let s = lut.sample(f64::from(v) / 20.0, f64::from(r) / 20.0).value;
                 assert!(s[0] + s[1] <= 1.0 + 1e-3 && s[0] >= 0.0 && s[1] >= 0.0, "{r} {v} {s:?}");
             }

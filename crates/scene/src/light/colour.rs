@@ -1,10 +1,10 @@
-//! The colour of a light apart from its level.
+//! Chromaticity of a light, independent of its level.
 
 use serde::{Deserialize, Serialize};
 
 use relume_layout::light::LUMINANCE;
 
-/// Chromaticity of a light as two natural logarithms, both 0 for a neutral one.
+/// Chromaticity of a light as two natural logarithms, both 0 for a neutral light.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct LightColour {
     /// `ln(blue / red)`: negative for warm lights.
@@ -14,10 +14,10 @@ pub struct LightColour {
 }
 
 impl LightColour {
-    /// The same in all channels.
+    /// Equal in all channels.
     pub const NEUTRAL: Self = Self { blue_over_red: 0.0, green: 0.0 };
 
-    /// Of a light of linear Rec.709 channels above 0.
+    /// The chromaticity of a light with linear Rec.709 channels above 0.
     pub fn of(rgb: [f32; 3]) -> Self {
         let [red, green, blue] = rgb.map(f32::ln);
         Self { blue_over_red: blue - red, green: 2.0 * green - red - blue }
@@ -31,7 +31,7 @@ impl LightColour {
         channels.map(|c| c / level)
     }
 
-    /// A black body of `kelvin`, 1,667 to 25,000, as photographs that were balanced for 6,504 K show it (Kim et al. 2002,
+    /// A black body at `kelvin`, 1,667 to 25,000, as photographs balanced for 6,504 K show it (Kim et al. 2002,
     /// US 7024034, cubic splines of the Planckian locus).
     pub fn black_body(kelvin: f32) -> Self {
         let of = |kelvin: f32| Self::of(planckian(f64::from(kelvin)).map(|v| v.max(1e-3) as f32));

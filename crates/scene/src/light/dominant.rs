@@ -1,54 +1,51 @@
-//! An environment as a few strong small lights and the rest, so that each light can cast a shadow of its own.
+//! Extraction of dominant lights (strong and small) from an environment, so that each light can cast its own shadow.
 
 use std::f64::consts::PI;
 use std::ops::Range;
 
 use glam::DVec3;
 
+use crate::light::map_rows::{LIGHT_SEARCH_ROWS, MIN_LIGHT_SEARCH_ROWS};
 use crate::{EnvMap, texel_directions};
 
-/// Most rows a map is split at; larger ones are reduced first, which keeps their power.
-const MAX_ROWS: usize = 512;
-/// Least rows: a texel of a smaller map is no small light.
-const MIN_ROWS: usize = 32;
-/// Angular radius a light is taken out of, radians.
+/// Angular radius of the disc from which a light is extracted, radians.
 const RADIUS: f64 = 4.0 * PI / 180.0;
-/// A light's disc is this many times brighter than the ring around it, on average.
+/// Smallest ratio of the mean brightness of a light's disc to that of the ring around it.
 const CONTRAST: f64 = 4.0;
-/// And its excess over the ring is this share of all power.
+/// Smallest share of all power of a light's excess over the ring.
 const MIN_POWER_SHARE: f64 = 0.01;
-/// Bright spots that may turn out to be no lights before the search ends.
+/// Number of rejected bright spots at which the search ends.
 const MAX_REJECTED_SPOTS: usize = 8;
 
-/// A light far away and small.
+/// A distant small light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DominantLight {
     /// Unit direction towards it.
     pub direction: DVec3,
-    /// What it sends through a surface turned to it: radiance times solid angle.
+    /// Irradiance of a surface that faces it, W/m^2: radiance times solid angle.
     pub irradiance: [f64; 3],
-    /// Angular radius of a disc as spread out as it is, radians.
+    /// Angular radius of a disc with the same angular spread, radians.
     pub radius: f64,
 }
 
-/// Lights and the rest: together they have the power of the map.
+/// Dominant lights and the rest. Their powers add up to the power of the map.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SplitEnvironment {
     /// Strongest texel first.
     pub lights: Vec<DominantLight>,
-    /// What is left, of at most 512 rows.
+    /// The remaining map, of at most 512 rows.
     pub rest: EnvMap,
 }
 
 impl SplitEnvironment {
-    /// Takes at most `most` lights out of `map`: spots within a few degrees that stand well above what surrounds them and
-    /// hold a hundredth of the power or more. Maps below 32 rows stay whole.
+    /// Extracts at most `most` lights from `map`: spots of a few degrees that are much brighter than their surroundings and
+    /// hold 1 % of the power or more. Maps below 32 rows are not split.
     pub fn new(map: &EnvMap, most: usize) -> Self {
-        let map = match map.height() > MAX_ROWS {
-            true => map.resampled((map.width() * MAX_ROWS / map.height()).max(1), MAX_ROWS),
+        let map = match map.height() > LIGHT_SEARCH_ROWS {
+            true => map.resampled((map.width() * LIGHT_SEARCH_ROWS / map.height()).max(1), LIGHT_SEARCH_ROWS),
             false => map.clone(),
         };
-        if map.height() < MIN_ROWS {
+        if map.height() < MIN_LIGHT_SEARCH_ROWS {
             return Self { lights: Vec::new(), rest: map };
         }
         let mut search = LightExtraction::new(&map);
@@ -64,13 +61,13 @@ impl SplitEnvironment {
     }
 }
 
-/// The map while lights are taken out of it.
+/// The map during the extraction of lights.
 struct LightExtraction {
     width: usize,
     height: usize,
     directions: Vec<(DVec3, f64)>,
     texels: Vec<[f32; 3]>,
-    /// Texels that were not part of a light or of a refused spot.
+    /// True for texels that belong to no light and to no rejected spot.
     open: Vec<bool>,
     /// Power of the whole map, mean of the channels.
     power: f64,
@@ -96,7 +93,7 @@ impl LightExtraction {
         }
     }
 
-    /// The brightest open texel, the first of equals; none when all are dark.
+    /// The brightest open texel, the first of equals; `None` when all are dark.
     fn brightest(&self) -> Option<usize> {
         let mut best = (None, 0.0);
         for (i, texel) in self.texels.iter().enumerate() {
@@ -108,7 +105,7 @@ impl LightExtraction {
         best.0
     }
 
-    /// Takes what stands above the ring around texel `centre` out as a light, or closes the spot.
+    /// Extracts the excess over the ring around texel `centre` as a light, or rejects the spot.
     fn take(&mut self, centre: usize) -> Option<DominantLight> {
         let towards = self.directions[centre].0;
         let (inner, outer) = (self.radius.cos(), (2.0 * self.radius).cos());
@@ -144,7 +141,7 @@ impl LightExtraction {
         let direction = moment.normalize_or(towards);
         for &i in &disc {
             let (d, w) = self.directions[i];
-            // A texel is itself as wide as a disc of its area.
+            // A texel adds the spread of a disc of its area.
             let square = d.angle_between(direction).powi(2) + w / (2.0 * PI);
             spread += square * w * (0..3).map(|c| excess(self.texels[i], c)).sum::<f64>();
             self.texels[i] = std::array::from_fn(|c| self.texels[i][c].min(level[c]));
@@ -153,7 +150,7 @@ impl LightExtraction {
         Some(DominantLight { direction, irradiance: light, radius: (2.0 * spread / sum).sqrt() })
     }
 
-    /// The texels of all rows that have one within `radius` radians of texel `centre`.
+    /// The texels of all rows that contain a texel within `radius` radians of texel `centre`.
     fn rows_around(&self, centre: usize, radius: f64) -> Range<usize> {
         let (row, reach) = (centre / self.width, (radius / PI * self.height as f64).ceil() as usize);
         let (first, last) = (row.saturating_sub(reach), (row + reach).min(self.height - 1));
@@ -162,7 +159,7 @@ impl LightExtraction {
 
     fn rest(self) -> EnvMap {
         let map = EnvMap::new(self.width, self.height, self.texels);
-        // Unreachable: texels of a checked map only ever got smaller.
+        // Unreachable: extraction only reduces the texels of a checked map.
         map.map_or_else(|_| EnvMap::constant(self.width, self.height, [0.0; 3]), |(map, _)| map)
     }
 }

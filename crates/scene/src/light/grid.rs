@@ -1,7 +1,7 @@
-//! A seamless cube-shaped grid over directions with bilinear look-up.
+//! A seamless cube grid over directions, with bilinear look-up.
 //!
-//! Nodes sit *on* the cube's edges, so two faces share the directions of their common edge and a table is
-//! continuous over the whole sphere: no trigonometry, no pole, no seam to filter across.
+//! Nodes lie *on* the cube's edges, so two faces share the directions of their common edge and a table is continuous over
+//! the whole sphere. A look-up needs no trigonometry and has no pole and no seam.
 
 use glam::DVec3;
 use num_traits::Float;
@@ -76,7 +76,7 @@ impl CubeGrid {
         };
         let (us, ut) = ((axis + 1) % 3, (axis + 2) % 3);
         let one = T::one();
-        // A null direction has no neighbours to move to: node 0 side, derivatives 0.
+        // A zero direction maps to node 0 with zero derivatives.
         let length = magnitude[axis];
         let inverse = if length > T::min_positive_value() { one / length } else { T::zero() };
         let (s, t) = (d[us] * inverse, d[ut] * inverse);

@@ -1,4 +1,4 @@
-//! How much a GGX reflection lobe blurs each SH degree: visibility seen *through a lobe* instead of along one ray.
+//! Attenuation of each SH degree by a GGX reflection lobe: visibility averaged over the lobe instead of along one ray.
 
 use std::f64::consts::PI;
 
@@ -58,7 +58,7 @@ impl LobeAttenuation {
 fn attenuation(roughness: f64) -> [f64; LOBE_DEGREES] {
     let alpha = (roughness * roughness).max(1e-3);
     let mut sums = [0.0; LOBE_DEGREES];
-    // Substituting theta = (pi/2) t^4 puts the steps where a sharp lobe is.
+    // Substituting theta = (pi/2) t^4 concentrates the steps where a sharp lobe is.
     const STEPS: usize = 4000;
     for i in 0..STEPS {
         let t = (i as f64 + 0.5) / STEPS as f64;

@@ -1,11 +1,12 @@
-//! Light: spherical harmonics, the split-sum BRDF table, and the linear operators that turn an environment
-//! into what a pixel looks up.
+//! Light: spherical harmonics, the split-sum BRDF table, and the linear operators that turn an environment into look-up
+//! tables for shading.
 
 mod brdf;
 mod colour;
 mod dominant;
 mod grid;
 mod lobe;
+pub mod map_rows;
 mod operators;
 mod prefilter;
 mod reflectance;

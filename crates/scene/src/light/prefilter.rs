@@ -1,8 +1,8 @@
-//! Light tables for rendering under a posted map of any size, built once a map.
+//! Light tables for rendering under a map of any size, built once per map.
 //!
-//! The training operators are explicit matrices over few texels. A 4k map would need matrices of gigabytes, so here the
-//! same kernels are evaluated on the fly: the diffuse transfer by quadrature over a reduced map, the specular levels by
-//! importance sampling of the lobe with each sample read from the map's pyramid at the sample's own solid angle.
+//! The training operators are explicit matrices over few texels. A 4k map would need matrices of gigabytes, so this module
+//! evaluates the same kernels directly: the diffuse transfer by quadrature over a reduced map, the specular levels by
+//! importance sampling of the lobe. Each sample is read from the map's pyramid at the level of its solid angle.
 
 use std::f32::consts::TAU;
 use std::f64::consts::PI;
@@ -10,15 +10,14 @@ use std::f64::consts::PI;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::light::map_rows::DIFFUSE_ROWS;
 use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, sh_eval};
 use crate::{EnvMap, sh_count, texel_directions};
 
-/// Rows of the map the diffuse transfer is integrated over.
-const DIFFUSE_ROWS: usize = 32;
-/// Nodes along a cube edge: normals, then each specular level.
+/// Nodes along a cube edge for normals; the next constant has those of each specular level.
 const DIFFUSE_NODES: usize = 17;
 const SPECULAR_NODES: [usize; SPECULAR_LEVELS.len()] = [65, 33, 33, 17, 17, 17];
-/// Lobe samples a node.
+/// Lobe samples per node.
 const SAMPLES: u32 = 192;
 
 /// The tables of `map` for visibility fields of degree `sh_degree`.
@@ -131,11 +130,11 @@ impl Pyramid {
         Self { levels }
     }
 
-    /// Where each sample of `lobe` is read.
+    /// The pyramid position of each sample of `lobe`.
     fn taps(&self, lobe: &[LobeDirection]) -> Vec<Tap> {
         let texel = 4.0 * PI / (self.levels[0].width() * self.levels[0].height()) as f64;
         let tap = |s: &LobeDirection| {
-            // One level coarser than the sample's own footprint, so that neighbours overlap.
+            // One level coarser than the sample's footprint, so that neighbouring samples overlap.
             let level =
                 (0.5 * (s.solid_angle / texel).log2() + 1.0).clamp(0.0, (self.levels.len() - 1) as f64);
             let (low, fraction) = (level as usize, level.fract() as f32);
@@ -144,7 +143,7 @@ impl Pyramid {
         lobe.iter().map(tap).collect()
     }
 
-    /// Mean radiance of the lobe turned to `r`.
+    /// Mean radiance over the lobe around `r`.
     fn filtered(&self, r: DVec3, lobe: &[Tap]) -> [f32; 3] {
         let r = r.as_vec3();
         let (u, v) = r.any_orthonormal_pair();
@@ -159,7 +158,7 @@ impl Pyramid {
     }
 }
 
-/// [`direction_to_uv`](crate::direction_to_uv) in single precision: a ten-thousandth of a texel of the largest maps.
+/// [`direction_to_uv`](crate::direction_to_uv) in single precision, accurate to 1/10,000 of a texel of the largest maps.
 fn to_uv(d: Vec3) -> [f32; 2] {
     [0.5 - d.y.atan2(d.x) / TAU, d.z.clamp(-1.0, 1.0).acos() / (0.5 * TAU)]
 }

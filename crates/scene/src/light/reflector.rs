@@ -1,5 +1,5 @@
-//! What a surface sends to the camera of the light from one direction: Lambert and GGX with the very D, G and F that the
-//! split-sum table integrates, so that sampled and tabulated shading agree wherever both are exact.
+//! Reflection of light from one direction towards the camera: Lambert and GGX. D, G and F are those that the split-sum table
+//! integrates, so that sampled and tabulated shading agree wherever both are exact.
 
 use std::f64::consts::{FRAC_1_PI, PI, TAU};
 
@@ -7,7 +7,7 @@ use glam::DVec3;
 
 use crate::light::brdf::{ggx_d, ggx_smith_correlated};
 
-/// A surface seen from one direction.
+/// A surface and the direction from which the camera sees it.
 #[derive(Debug, Clone, Copy)]
 pub struct Reflector {
     normal: DVec3,
@@ -18,21 +18,21 @@ pub struct Reflector {
     alpha: f64,
     /// Lambert's reflectance per steradian.
     diffuse: [f64; 3],
-    /// Reflectance head-on.
+    /// Reflectance at normal incidence.
     f0: [f64; 3],
 }
 
-/// Light sent to the camera, or per unit of radiance and steradian, by the two parts of the surface.
+/// Light that the two parts of the surface send to the camera, absolute or per unit of radiance and steradian.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Reflected {
-    /// By the diffuse part.
+    /// Light of the diffuse part.
     pub diffuse: [f64; 3],
-    /// By the specular part.
+    /// Light of the specular part.
     pub specular: [f64; 3],
 }
 
 impl Reflector {
-    /// A surface of unit `normal` turned to the unit `view` direction, with base colour, metalness and roughness in
+    /// A surface with unit `normal`, seen from the unit direction `view`, with base colour, metalness and roughness in
     /// [0, 1].
     pub fn new(normal: DVec3, view: DVec3, albedo: [f32; 3], metal: f32, rough: f32) -> Self {
         let (tangent, bitangent) = normal.any_orthonormal_pair();
@@ -50,14 +50,14 @@ impl Reflector {
         }
     }
 
-    /// Reflectance times cosine towards unit `light`; `None` below the horizon. `radius` is the angular radius in radians
-    /// of what shines from there: it widens the highlight, which of a point would be a speck.
+    /// Reflectance times cosine towards unit `light`; `None` below the horizon. `radius` is the angular radius
+    /// of the light in radians: it widens the highlight, which would be a speck for a point light.
     pub fn reflect(&self, light: DVec3, radius: f64) -> Option<Reflected> {
         let nol = self.normal.dot(light);
         if !(nol > 0.0) {
             return None;
         }
-        // Half vectors turn half as far as the light does.
+        // A half vector rotates by half the angle of the light.
         let alpha = (self.alpha * self.alpha + 0.25 * radius * radius).sqrt().min(1.0);
         let half = (self.view + light).normalize_or(self.normal);
         let voh = self.view.dot(half).clamp(0.0, 1.0);
@@ -74,7 +74,7 @@ impl Reflector {
         x * self.tangent + y * self.bitangent + z * self.normal
     }
 
-    /// A direction from the cosine's density, of two numbers in [0, 1).
+    /// A direction from the cosine density, from two numbers in [0, 1).
     pub fn sample_cosine(&self, u: [f64; 2]) -> DVec3 {
         let (sin, phi) = (u[0].sqrt(), TAU * u[1]);
         self.to_world([sin * phi.cos(), sin * phi.sin(), (1.0 - u[0]).sqrt()])
@@ -112,7 +112,7 @@ mod tests {
         Reflector::new(DVec3::Z, view, [1.0, 0.5, 0.0], 0.0, rough)
     }
 
-    /// `int f over the half sphere`, by midpoints that crowd where the lobe of half vectors is.
+    /// The integral of `f` over the half sphere, by midpoints concentrated at the lobe of half vectors.
     fn integrate(r: &Reflector, f: impl Fn(DVec3) -> f64) -> f64 {
         const N: usize = 700;
         let cell = |i: usize| (i as f64 + 0.5) / N as f64;
@@ -136,7 +136,7 @@ mod tests {
                 let specular = integrate(&r, |d| r.reflect(d, 0.0).map_or(0.0, |s| s.specular[0]));
                 let lut = BrdfLut::shared().sample(nov, f64::from(rough)).value;
                 let table = 0.04 * lut[0] + lut[1];
-                // What is left is the table's own grid of 32 x 32.
+                // The remaining error comes from the table's grid of 32 x 32.
                 assert!((specular / table - 1.0).abs() < 0.03, "{rough} {nov}: {specular} {table}");
                 let other = BrdfLut::shared().sample(nov, f64::from(rough) + 0.1).value;
                 let other = 0.04 * other[0] + other[1];
@@ -147,7 +147,7 @@ mod tests {
 
     #[test]
     fn lobe_integral_is_independent_of_the_direction_grid() {
-        // Spherical midpoints instead of half vectors: a density that is wrong shows here and nowhere else.
+        // Spherical midpoints instead of half vectors: only this test detects a wrong density.
         let r = surface(0.6, 0.5);
         const ROWS: usize = 900;
         let mut sum = 0.0;

@@ -1,5 +1,6 @@
-//! Monte-Carlo under an environment: directions drawn by the light, by the cosine and by the lobe, weighed by the density
-//! of all three together (the balance heuristic), so that whatever one of them draws badly another draws well.
+//! Monte-Carlo integration under an environment. Directions are drawn by the light, by the cosine and by the lobe, and
+//! weighted by the combined density of all three (the balance heuristic): where one density samples poorly, another samples
+//! well.
 
 use std::f64::consts::{PI, TAU};
 
@@ -9,13 +10,13 @@ use rand::{Rng, RngExt as _};
 use crate::light::{Reflected, Reflector};
 use crate::{EnvMap, direction_to_uv};
 
-/// An environment of constant texels to draw directions from, each by its share of the light.
+/// An environment of constant texels, from which directions are drawn in proportion to brightness.
 #[derive(Debug, Clone)]
 pub struct EnvSampler {
     map: EnvMap,
-    /// `int` brightness over the rows up to and with each; the last is the total.
+    /// Cumulative integral of brightness over rows; the last entry is the total.
     rows: Vec<f64>,
-    /// The same over the columns of each row, brightness alone.
+    /// Cumulative sum of brightness over the columns of each row.
     columns: Vec<f64>,
 }
 
@@ -26,19 +27,19 @@ pub struct SamplerTables {
     pub width: usize,
     /// Rows of the map.
     pub height: usize,
-    /// Radiance, and the density of drawing a direction there, per steradian.
+    /// Radiance RGB, and the density of drawing a direction in the texel, per steradian.
     pub texels: Vec<[f32; 4]>,
-    /// Shares of the light: of the rows up to and with each, then of the columns of each row.
+    /// Cumulative shares of the light: over rows, then over the columns of each row.
     pub sums: Vec<f32>,
 }
 
-/// Mean of the channels: zero only where all light is.
+/// Mean of the channels: zero only where every channel is zero.
 fn brightness(texel: [f32; 3]) -> f64 {
     texel.iter().map(|v| f64::from(*v)).sum::<f64>() / 3.0
 }
 
 impl EnvSampler {
-    /// Takes a map in.
+    /// A sampler of `map`.
     pub fn new(map: EnvMap) -> Self {
         let (mut rows, mut columns) = (Vec::with_capacity(map.height()), Vec::new());
         let mut total = 0.0;
@@ -58,7 +59,7 @@ impl EnvSampler {
         self.rows.last().copied().unwrap_or(0.0)
     }
 
-    /// The same in f32, for engines that draw by themselves.
+    /// The sampler in f32, for engines that draw directions themselves.
     pub fn tables(&self) -> SamplerTables {
         let (width, height, total) = (self.map.width(), self.map.height(), self.total());
         let share = |sum: f64, of: f64| if of > 0.0 { (sum / of) as f32 } else { 0.0 };
@@ -76,7 +77,7 @@ impl EnvSampler {
         !(self.total() > 0.0)
     }
 
-    /// A direction, of two numbers in [0, 1).
+    /// A direction from two numbers in [0, 1).
     pub fn sample(&self, u: [f64; 2]) -> DVec3 {
         let (w, h) = (self.map.width(), self.map.height());
         let (y, down) = pick(&self.rows, u[0]);
@@ -105,7 +106,7 @@ fn texel_area(map: &EnvMap, y: usize) -> f64 {
     (edge(y) - edge(y + 1)) * TAU / map.width() as f64
 }
 
-/// The cell of a running sum that `u` of its end falls into, and where in the cell.
+/// The cell of a cumulative sum that contains the fraction `u` of its total, and the position within the cell, 0 to 1.
 fn pick(sums: &[f64], u: f64) -> (usize, f64) {
     let target = u * sums.last().copied().unwrap_or(0.0);
     let i = sums.partition_point(|s| *s <= target).min(sums.len() - 1);
@@ -114,20 +115,21 @@ fn pick(sums: &[f64], u: f64) -> (usize, f64) {
     (i, inside.clamp(0.0, 1.0))
 }
 
-/// How many directions each way of drawing gets. The estimate's mean does not depend on it as long as the lobe, whose
-/// directions reach every part of the half sphere, gets one.
+/// Number of samples of each density. The estimate's mean does not depend on them provided the lobe, whose directions cover
+/// the whole half sphere, gets at least one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SampleCounts {
-    /// Drawn by the environment's brightness.
+    /// Samples drawn by the environment's brightness.
     pub light: u32,
-    /// Drawn by the cosine.
+    /// Samples drawn by the cosine.
     pub cosine: u32,
-    /// Drawn by the lobe of half vectors.
+    /// Samples drawn by the lobe of half vectors.
     pub lobe: u32,
 }
 
 impl SampleCounts {
-    /// Half of `samples` by the light, a quarter each by cosine and lobe; what the dark would get goes to the cosine.
+    /// Half of `samples` by the light, a quarter each by cosine and lobe. Under a dark environment the cosine gets the
+    /// light's samples.
     pub fn of(samples: u32, light: &EnvSampler) -> Self {
         let lobe = samples.div_ceil(4);
         let by_light = if light.is_dark() { 0 } else { samples / 2 };
@@ -135,8 +137,8 @@ impl SampleCounts {
     }
 }
 
-/// Estimates what `surface` sends to the camera of the light `environment` that `transmittance` lets through towards a
-/// direction; where it does not, the specular part sees `blocked`.
+/// Estimates the light that `surface` reflects to the camera. `transmittance` attenuates `environment` per direction; the
+/// specular part sees `blocked` in the hidden share.
 pub fn estimate(
     surface: &Reflector,
     environment: &EnvSampler,
@@ -148,7 +150,7 @@ pub fn estimate(
     let mut sum = Reflected::default();
     let SampleCounts { light, cosine, lobe } = shares;
     for i in 0..light + cosine + lobe {
-        // Both numbers are drawn whatever becomes of the direction: samples keep their places in the stream.
+        // Each sample draws both numbers, also where its direction is discarded: later samples keep their numbers.
         let u = [random.random(), random.random()];
         let drawn = if i < light {
             Some(environment.sample(u))
@@ -194,7 +196,7 @@ mod tests {
         Reflector::new(DVec3::Z, DVec3::new(-0.48, 0.36, 0.8), [0.7, 0.5, 0.2], 0.4, 0.4)
     }
 
-    /// One side of the sky is hidden by a half-opaque curtain.
+    /// A half-opaque curtain hides one side of the sky.
     fn curtain(d: DVec3) -> f64 {
         if d.x > 0.3 { 0.25 } else { 1.0 }
     }
@@ -238,7 +240,7 @@ mod tests {
                 assert!(error < 0.05 * want, "{shares:?}: an error of {error} would excuse anything");
             }
         }
-        // The control: without the curtain the integral is another one, well beyond those errors.
+        // Negative control: without the curtain the integral differs by much more than those errors.
         let (light, r) = (EnvSampler::new(lamp()), surface());
         let mut random = ChaCha8Rng::seed_from_u64(7);
         let open = estimate(&r, &light, [0.3; 3], SampleCounts::of(60_000, &light), &mut random, |_| 1.0);

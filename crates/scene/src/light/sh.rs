@@ -1,6 +1,6 @@
-//! Real spherical harmonics to any order, without angles, so values and gradients stay finite at the poles.
+//! Real spherical harmonics of any degree, without angles, so values and gradients stay finite at the poles.
 //!
-//! Index of (l, m) is `l*l + l + m`; the basis is orthonormal and carries the Condon-Shortley sign, as the
+//! Index of (l, m) is `l*l + l + m`; the basis is orthonormal and carries the Condon-Shortley sign, as in the
 //! article's listing. With `Q_l^m = (-1)^m d^m P_l / dz^m` and
 //! `A_m + i B_m = (x + i y)^m`, `Y_lm = K_lm Q_l^m(z) {A_m | B_m}(x, y)`.
 
@@ -8,7 +8,7 @@ use num_traits::Float;
 
 use relume_layout::light::{nrsh_factor, sh_normalisation};
 
-/// Highest order any table in the crate is built for.
+/// Highest SH degree of any table.
 pub const MAX_SH_DEGREE: usize = 8;
 const ROWS: usize = MAX_SH_DEGREE + 2;
 
@@ -25,11 +25,11 @@ fn normalisations() -> &'static [f64; 81] {
 }
 
 fn cast<T: Float>(v: f64) -> T {
-    // Every Float converts from f64; the fallback only serves the type.
+    // Every `Float` converts from f64; the fallback satisfies the type only.
     T::from(v).unwrap_or_else(T::nan)
 }
 
-/// `Q[m][l]` for m, l <= order + 1.
+/// `Q[m][l]` for m, l <= degree + 1.
 #[inline(always)]
 fn legendre<T: Float>(z: T, sh_degree: usize) -> [[T; ROWS]; ROWS] {
     let mut q = [[T::zero(); ROWS]; ROWS];
@@ -48,7 +48,7 @@ fn legendre<T: Float>(z: T, sh_degree: usize) -> [[T; ROWS]; ROWS] {
     q
 }
 
-/// `A_m, B_m` for m <= order.
+/// `A_m, B_m` for m <= degree.
 #[inline(always)]
 fn azimuth<T: Float>(x: T, y: T, sh_degree: usize) -> ([T; ROWS], [T; ROWS]) {
     let (mut a, mut b) = ([T::zero(); ROWS], [T::zero(); ROWS]);
@@ -60,7 +60,7 @@ fn azimuth<T: Float>(x: T, y: T, sh_degree: usize) -> ([T; ROWS], [T; ROWS]) {
     (a, b)
 }
 
-/// Calls a function that is compiled once per order: with the bounds of its loops known it is a few straight lines.
+/// Calls a function that is compiled once per degree: constant loop bounds let the compiler unroll it.
 macro_rules! at_degree {
     ($sh_degree:expr, $function:ident, $($argument:expr),*) => {
         match $sh_degree {
@@ -79,7 +79,7 @@ macro_rules! at_degree {
 
 /// Values of all harmonics up to `sh_degree` (at most 8) along unit direction `d`.
 ///
-/// `out` receives `(sh_degree + 1)^2` values; what lies beyond is left alone.
+/// `out` receives `(sh_degree + 1)^2` values; later elements are unchanged.
 pub fn sh_eval<T: Float>(sh_degree: usize, d: [T; 3], out: &mut [T]) {
     at_degree!(sh_degree, values, d, out);
 }

@@ -1,7 +1,7 @@
-//! Sheen: cloth brightens towards its rims, where fibres that stand up catch light. One number a Gaussian, a gain of its
-//! diffuse term by the angle of view alone: `exp(s (1 - n . v)^3)`. It is positive and smooth for every `s`; 0 is Lambert.
+//! Sheen: cloth brightens towards its rims, where upright fibres catch light. One number `s` per Gaussian scales its diffuse
+//! term by the angle of view alone: `exp(s (1 - n . v)^3)`. The gain is positive and smooth for every `s`; 0 is Lambert.
 //!
-//! Light's own angle of incidence, which a microfibre model has as well, is left out: under a whole sky it is averaged.
+//! A microfibre model also depends on the light's angle of incidence. This model omits it: a whole sky averages it.
 
 use crate::light::MAX_SHEEN;
 
@@ -10,9 +10,9 @@ use crate::light::MAX_SHEEN;
 pub struct Sheen {
     /// The gain.
     pub gain: f32,
-    /// By the Gaussian's number.
+    /// Derivative by the Gaussian's sheen.
     pub by_sheen: f32,
-    /// By `n . v`.
+    /// Derivative by `n . v`.
     pub by_nov: f32,
 }
 

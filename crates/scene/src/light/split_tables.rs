@@ -1,10 +1,10 @@
-//! Light tables for rendering with the strong small lights taken out of them.
+//! Light tables for rendering, with dominant lights split off.
 
 use crate::light::{DominantLight, LightTables, SplitEnvironment, TableLight, rendering_tables};
 use crate::{EnvMap, LightSplit, MAX_LIGHTS, SplitLight, texel_directions};
 
-/// The tables of `map` for visibility fields of degree `sh_degree`, at most [`MAX_LIGHTS`] strong small lights beside them.
-/// Together they have the power of the map.
+/// The tables of `map` for visibility fields of degree `sh_degree`, and at most [`MAX_LIGHTS`] dominant lights. Tables and
+/// lights together have the power of the map.
 pub fn split_tables(map: &EnvMap, sh_degree: usize) -> LightTables {
     let split = SplitEnvironment::new(map, MAX_LIGHTS);
     if split.lights.is_empty() {
@@ -14,12 +14,12 @@ pub fn split_tables(map: &EnvMap, sh_degree: usize) -> LightTables {
     LightTables { lights, ..rendering_tables(&split.rest, sh_degree) }
 }
 
-/// The same, of a map whose split is known; it must fit the map's texels.
+/// The tables of `map` with the given split, which must fit the map's texels.
 pub fn tables_of_split(map: &EnvMap, split: &LightSplit, sh_degree: usize) -> LightTables {
     let texels = map.texels().iter().enumerate();
     let rest = texels.map(|(t, l)| l.map(|v| v * split.rest(t))).collect();
     let Ok((rest, _)) = EnvMap::new(map.width(), map.height(), rest) else {
-        // Unreachable: texels of a checked map only got smaller.
+        // Unreachable: the split only reduces the texels of a checked map.
         return rendering_tables(map, sh_degree);
     };
     let mut lights: Vec<TableLight> = split

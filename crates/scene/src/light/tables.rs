@@ -1,9 +1,9 @@
-//! What a pixel looks up: the environment after the linear operators.
+//! Look-up tables for shading: an environment after the linear operators.
 
 use crate::light::{CubeGrid, SPECULAR_LEVELS};
 use crate::{MAX_LIGHTS, SplitLight};
 
-/// Visibility coefficients are padded with zeros to a multiple of this, so that dot products are whole vectors.
+/// Visibility coefficients are padded with zeros to a multiple of this, so that dot products use whole vectors.
 pub const TABLE_LANES: usize = 16;
 
 /// `n` rounded up to a multiple of [`TABLE_LANES`].
@@ -16,7 +16,7 @@ pub const fn padded(n: usize) -> usize {
 pub struct LightTables {
     /// Grid of normals.
     pub diffuse_grid: CubeGrid,
-    /// Padded number of visibility coefficients a colour has in `diffuse`.
+    /// Padded number of visibility coefficients per colour in `diffuse`.
     pub coefficients: usize,
     /// `T_j(n)`, irradiance at normal n through visibility `Y_j` alone (docs/MODEL.md section 4), as `[node][rgb][coefficient]`, W/m^2 per unit coefficient.
     pub diffuse: Vec<f32>,
@@ -24,7 +24,7 @@ pub struct LightTables {
     pub specular_grids: [CubeGrid; SPECULAR_LEVELS.len()],
     /// Prefiltered radiance `[node]` per level of [`SPECULAR_LEVELS`].
     pub specular: [Vec<[f32; 3]>; SPECULAR_LEVELS.len()],
-    /// Lights that are not in these tables.
+    /// Dominant lights, which the tables do not contain.
     pub lights: Vec<TableLight>,
 }
 
@@ -34,19 +34,19 @@ impl From<&TableLight> for SplitLight {
     }
 }
 
-/// A light far away and small, whose shadow is measured by itself.
+/// A distant small light, whose shadow is measured separately.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TableLight {
     /// Unit direction towards it.
     pub direction: [f32; 3],
     /// Angular radius, radians.
     pub radius: f32,
-    /// What it sends through a surface turned to it, RGB, W/m^2; the gradient by it in tables of gradients.
+    /// Irradiance of a surface that faces it, RGB, W/m^2. In gradient tables: the gradient by that irradiance.
     pub irradiance: [f32; 3],
 }
 
 impl LightTables {
-    /// Zeroed tables of the same shape, to collect gradients in.
+    /// Zeroed tables of the same shape, for the accumulation of gradients.
     #[must_use]
     pub fn zeroed(&self) -> Self {
         Self {
@@ -57,7 +57,7 @@ impl LightTables {
         }
     }
 
-    /// Adds another table of the same shape, entry by entry.
+    /// Adds tables of the same shape, entry by entry.
     pub fn accumulate(&mut self, other: &Self) {
         self.diffuse.iter_mut().zip(&other.diffuse).for_each(|(a, b)| *a += b);
         for (mine, theirs) in self.specular.iter_mut().zip(&other.specular) {

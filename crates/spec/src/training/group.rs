@@ -11,7 +11,7 @@ macro_rules! group {
             $(
                 $(#[doc = $doc:tt])+
                 $(#[serde($($attribute:tt)+)])?
-                $name:ident: $type:ident = $default:expr;
+                $name:ident: $type:ident = $default:tt;
             )+
         }
     ) => {
@@ -39,6 +39,7 @@ macro_rules! group {
                 $(#[doc = $doc])+
                 $(#[serde($($attribute)+)])?
                 #[serde(skip_serializing_if = "Option::is_none")]
+                #[schema(default = $default)]
                 pub $name: Option<$type>,
             )+
         }
@@ -49,6 +50,13 @@ macro_rules! group {
                 $(if let Some(value) = self.$name {
                     group.$name = value;
                 })+
+            }
+        }
+
+        impl $group {
+            /// Name, type and documentation of each field.
+            pub(crate) fn declared() -> Vec<(&'static str, &'static str, &'static str)> {
+                vec![$((stringify!($name), stringify!($type), concat!($($doc),+)),)+]
             }
         }
 

@@ -7,6 +7,7 @@ mod grey_card;
 mod group;
 mod known_light;
 mod method;
+mod reference;
 mod shading;
 mod weights;
 mod white_balance;
@@ -23,6 +24,7 @@ pub use error::ConfigError;
 pub use grey_card::GreyCard;
 pub use known_light::{Auto, KnownLight, LightExposure, MAX_STOPS};
 pub use method::Method;
+pub use reference::{Setting, settings, settings_page};
 pub use shading::ShadingChanges;
 pub use weights::{LearningRateChanges, LearningRates, LossWeightChanges, LossWeights};
 pub use white_balance::{NamedBalance, WhiteBalance};
@@ -141,13 +143,11 @@ macro_rules! settings {
             }
         }
 
-        /// Name, documentation and accepted range, if any, of each setting.
-        #[cfg(test)]
-        fn documented() -> Vec<(&'static str, &'static str, Vec<String>)> {
-            vec![
-                $((stringify!($name), concat!($($doc),+), vec![$(range_text(&$range))?]),)+
-                $((stringify!($group), concat!($($group_doc),+), vec![]),)+
-            ]
+        /// Name, type, documentation and accepted range, if any, of each setting that is no group.
+        fn declared() -> Vec<(&'static str, &'static str, &'static str, Option<String>)> {
+            vec![$(
+                (stringify!($name), stringify!($type), concat!($($doc),+), [$(range_text(&$range))?].into_iter().next()),
+            )+]
         }
     };
 }

@@ -10,25 +10,32 @@ use serde::{Deserialize, Serialize};
 pub struct ShadingChanges {
     /// Form of the visibility field.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(default = json!("linear"))]
     pub visibility: Option<VisibilityForm>,
     /// Form of the diffuse term.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(default = json!("directional"))]
     pub diffuse: Option<DiffuseForm>,
     /// Place of shading.
     #[serde(alias = "diffuse_at", skip_serializing_if = "Option::is_none")]
+    #[schema(default = json!("gaussian"))]
     pub shade_at: Option<ShadeAt>,
     /// Source of normals.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(default = json!("shortest_axis"))]
     pub normal: Option<NormalForm>,
     /// Indirect light.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(default = json!("gathered"))]
     pub indirect: Option<IndirectForm>,
     /// Screen-space low-pass added to the projected covariance, px^2.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(default = 0.3)]
     pub low_pass: Option<f32>,
     /// Scales the opacity so that the low-pass does not change the total weight of a splat (Mip-Splatting).
     /// Without it, splats become too wide in small images.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(default = true)]
     pub low_pass_compensation: Option<bool>,
     /// Maximum distance of an occluder, world units. Omitted: any distance; for captures without masks, a
     /// distance that the training chooses.
@@ -36,6 +43,7 @@ pub struct ShadingChanges {
     pub occluder_reach: Option<f32>,
     /// True: images are clamped and sRGB-encoded. False: images are only clamped.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(default = true)]
     pub srgb: Option<bool>,
 }
 
@@ -59,6 +67,21 @@ impl ShadingChanges {
             options.occluder_reach = self.occluder_reach;
         }
     }
+}
+
+/// Name, type and documentation of each field.
+pub(crate) fn declared() -> Vec<(&'static str, &'static str, &'static str)> {
+    vec![
+        ("visibility", "VisibilityForm", "Form of the visibility field: `linear`, `sigmoid` or `off`."),
+        ("diffuse", "DiffuseForm", "Form of the diffuse term: `directional` or `ambient_occlusion`."),
+        ("shade_at", "ShadeAt", "Where surfaces are shaded: `gaussian` or `pixel`."),
+        ("normal", "NormalForm", "Source of normals: `shortest_axis` or `free`."),
+        ("indirect", "IndirectForm", "Indirect light: `gathered`, `learned` or `off`."),
+        ("low_pass", "f32", "Screen-space low-pass added to the projected covariance, px^2."),
+        ("low_pass_compensation", "bool", "Whether opacity compensates the low-pass."),
+        ("occluder_reach", "f32", "Largest distance of an occluder, world units. Omitted: any distance."),
+        ("srgb", "bool", "True: images are clamped and sRGB-encoded. False: they are only clamped."),
+    ]
 }
 
 impl From<ShadingOptions> for ShadingChanges {

@@ -55,31 +55,31 @@ group! {
     /// Adam step sizes per parameter group, in the normalised world, 0 to 1000.
     LearningRates changed by LearningRateChanges as LearningRates {
         /// Centres at the start. The step size decays exponentially to `mean_final`.
-        mean: f32 = 2e-3;
+        mean: f32 = 0.002;
         /// Centres at the end.
-        mean_final: f32 = 1e-5;
+        mean_final: f32 = 0.00001;
         /// Logarithms of the scales.
-        scale: f32 = 2e-2;
+        scale: f32 = 0.02;
         /// Quaternions.
-        rotation: f32 = 1e-2;
+        rotation: f32 = 0.01;
         /// Opacity logits.
         opacity: f32 = 0.05;
         /// Normal offsets.
-        normal: f32 = 1e-3;
+        normal: f32 = 0.001;
         /// Metalness and roughness logits.
-        material: f32 = 1e-2;
+        material: f32 = 0.01;
         /// Sheen, trained during the last three tenths of the steps.
-        sheen: f32 = 3e-2;
+        sheen: f32 = 0.03;
         /// Prototype scores.
-        scores: f32 = 2e-2;
+        scores: f32 = 0.02;
         /// Prototypes.
-        prototypes: f32 = 2e-3;
+        prototypes: f32 = 0.002;
         /// Albedo residuals.
-        residual: f32 = 2e-3;
+        residual: f32 = 0.002;
         /// Visibility and indirect coefficients.
-        visibility: f32 = 2e-3;
+        visibility: f32 = 0.002;
         /// Radiance colour. Higher degrees use a twentieth of this step size.
-        radiance: f32 = 1e-2;
+        radiance: f32 = 0.01;
         /// Environment texels. The default is large because a sun is a hundred times brighter than the
         /// initial grey.
         environment: f32 = 0.15;

@@ -1,4 +1,4 @@
-//! Decisions by trial: the photographs are rendered without a part of the model, which stays if they get worse.
+//! Decisions by ablation: the photographs are rendered without a part of the model, which stays if their PSNR falls.
 
 use crate::complexity::photographs::{DecisionContext, MANY_VIEWS};
 use crate::complexity::state::ComplexityState;
@@ -7,21 +7,21 @@ use relume_engine::TrainState;
 use relume_scene::Field;
 use relume_spec::training::ComplexitySetting;
 
-/// A learned part that the model is tried without.
+/// A learned part of the model whose removal is tested.
 struct Ablation {
     setting: ComplexitySetting,
-    /// The setting's value without it.
+    /// The setting's value without the part.
     without: &'static str,
-    /// Names of the training PSNR with and without it, in the model card.
+    /// Names of the training PSNR with and without the part, in the model card.
     figures: [&'static str; 2],
-    /// What it may cost, dB.
+    /// Accepted loss of PSNR, dB.
     tolerance: f32,
 }
 
-/// Drops the Gaussians that contribute least, as many as the photographs allow.
+/// Drops the Gaussians with the least contribution, as many as the photographs allow.
 ///
-/// Judged by the radiance branch: a restart of albedo a few steps before makes the physically based one too inaccurate to show
-/// the loss.
+/// The radiance branch decides: albedo restarts a few steps earlier, so the physically based branch is too inaccurate
+/// to show the loss.
 pub fn drop_least(complexity: &mut ComplexityState, context: &DecisionContext<'_>, state: &mut TrainState) {
     let n = state.model.gaussians.len();
     if context.is_forced(ComplexitySetting::Gaussians) {
@@ -90,7 +90,7 @@ pub fn decide_sheen(complexity: &mut ComplexityState, context: &DecisionContext<
     ablate(&ablation, complexity, context, state, without);
 }
 
-/// Replaces `state` by the one without the part if the photographs allow it; says whether it did.
+/// Replaces `state` by `without` if the photographs allow it. Returns whether it did.
 fn ablate(
     ablation: &Ablation,
     complexity: &mut ComplexityState,

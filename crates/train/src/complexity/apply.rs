@@ -1,4 +1,4 @@
-//! Makes a state smaller as decided, with its moments and statistics.
+//! Reduces a training state as decided, including its moments and statistics.
 
 use crate::complexity::decide::RequiredVisibility;
 use crate::complexity::evidence::Overlap;
@@ -7,10 +7,11 @@ use relume_engine::cpu::{sigmoid, softmax};
 use relume_scene::light::UNOCCLUDED_SH0;
 use relume_scene::{Field, Gaussians, IndirectForm, VisibilityForm, sh_count};
 
-/// Metalness logit of a surface that is held at dielectric: a metalness of 1e-4.
+/// Metalness logit of a dielectric surface: a metalness of 1e-4.
 pub const DIELECTRIC: f32 = -9.0;
 
-/// The same Gaussians with `prototypes` scores (zero) and lower orders: the first coefficients of each.
+/// The Gaussians with `prototypes` scores and lower SH degrees, which keep the first coefficients. If the number of
+/// prototypes changes, the scores are zero.
 fn reshaped(g: &Gaussians, prototypes: usize, visibility: usize, radiance: usize) -> Gaussians {
     let mut out = Gaussians::zeroed(g.len(), prototypes, visibility, radiance);
     for (field, width, data) in out.fields_mut().filter(|(field, ..)| *field != Field::ProtoLogits) {
@@ -24,7 +25,7 @@ fn reshaped(g: &Gaussians, prototypes: usize, visibility: usize, radiance: usize
     out
 }
 
-/// Cuts visibility and radiance, moments and labels with them.
+/// Reduces the SH degrees of visibility and radiance, in the moments and labels too.
 pub fn cut_degrees(state: &mut TrainState, visibility: RequiredVisibility, radiance: usize) {
     let old = state.model.gaussians.visibility_degree();
     let sh_degree = match visibility {
@@ -46,7 +47,7 @@ pub fn cut_degrees(state: &mut TrainState, visibility: RequiredVisibility, radia
     }
 }
 
-/// Leaves out bounced light.
+/// Removes bounced light.
 pub fn drop_indirect(state: &mut TrainState) {
     state.model.shading.indirect = IndirectForm::Off;
     state.gathered = Vec::new();
@@ -64,7 +65,7 @@ fn mixed(state: &TrainState) -> Vec<[f32; 3]> {
     (0..g.len()).map(mix).collect()
 }
 
-/// Adds to the residuals what the mixed prototypes lack of `wanted`.
+/// Adds the difference between `wanted` and the mixed prototypes to the residuals.
 fn compensate(state: &mut TrainState, wanted: &[[f32; 3]]) {
     let now = mixed(state);
     for (i, (wanted, now)) in wanted.iter().zip(&now).enumerate() {
@@ -73,7 +74,7 @@ fn compensate(state: &mut TrainState, wanted: &[[f32; 3]]) {
     }
 }
 
-/// Merges prototypes by `groups` (heaviest member first); no albedo changes.
+/// Merges prototypes by `groups` (heaviest member first). Every albedo stays the same.
 pub fn merge_prototypes(state: &mut TrainState, groups: &[Vec<usize>], overlap: &Overlap) {
     let before = mixed(state);
     let n = groups.len();
@@ -86,7 +87,7 @@ pub fn merge_prototypes(state: &mut TrainState, groups: &[Vec<usize>], overlap: 
         }
         out
     };
-    // Shares add up, so scores go by log-sum-exp; moments are those of the heaviest.
+    // Shares add up, so scores combine by log-sum-exp. Moments are those of the heaviest member.
     let log_sum = |row: &[f32], group: &[usize]| {
         let top = group.iter().map(|k| row[*k]).fold(f32::NEG_INFINITY, f32::max);
         top + group.iter().map(|k| (row[*k] - top).exp()).sum::<f32>().ln()
@@ -101,13 +102,13 @@ pub fn merge_prototypes(state: &mut TrainState, groups: &[Vec<usize>], overlap: 
         let rest = moments.split_off(old.len());
         *moments = groups.iter().map(|group| moments[group[0]]).chain(rest).collect();
     }
-    // Without a merge the residuals stay bit for bit.
+    // Without a merge the residuals stay bit-identical.
     if n < old.len() {
         compensate(state, &before);
     }
 }
 
-/// Makes every surface dielectric and keeps its diffuse colour: albedo times one minus metalness becomes the albedo.
+/// Makes every surface dielectric and keeps its diffuse colour: the new albedo is albedo times one minus metalness.
 pub fn make_dielectric(state: &mut TrainState) {
     let metalness =
         |state: &TrainState, i: usize| sigmoid(state.model.gaussians.row(Field::MetalLogit, i)[0]);
@@ -120,13 +121,13 @@ pub fn make_dielectric(state: &mut TrainState) {
         residual.iter_mut().for_each(|r| *r *= left);
         colour.iter_mut().for_each(|v| *v *= left);
     }
-    // The mean of that factor goes into the prototypes, the rest into the residuals.
+    // The mean of that factor is applied to the prototypes, the rest to the residuals.
     state.model.prototypes.iter_mut().flatten().for_each(|v| *v = v.clamp(0.0, 1.0) * (1.0 - mean));
     compensate(state, &wanted);
     hold_dielectric(state);
 }
 
-/// Sets metalness to none and its moments to zero.
+/// Sets metalness to that of a dielectric and its moments to zero.
 pub fn hold_dielectric(state: &mut TrainState) {
     state.model.gaussians.field_mut(Field::MetalLogit).fill(DIELECTRIC);
     for moments in [&mut state.moments.first, &mut state.moments.second] {

@@ -1,44 +1,45 @@
-//! Decisions: from evidence to the smallest model within stated tolerances. Pure functions.
+//! Decisions: pure functions from evidence to the smallest model within stated tolerances.
 
 use std::fmt;
 
 use crate::complexity::evidence::{Overlap, VisibilityErrors};
 
-/// Share of its hull that the silhouette of a convex object may leave empty, mean over the photographs.
+/// Share of its convex hull that the silhouette of a convex object may leave empty, mean over the photographs.
 pub const CONVEX_TOLERANCE: f32 = 0.01;
-/// Mean change of ambient occlusion (0 to 1) that leaving visibility out may cause. It catches what silhouettes cannot show,
-/// such as a bowl: half of the sky is hidden from its inside. It is above the error of the measurement halfway through a
-/// training: 0.04 to 0.09 on a matte ball, 0.14 on a mirror, whose image is made of Gaussians inside it.
+/// Largest mean change of ambient occlusion (0 to 1) when visibility is removed. It detects concavities that
+/// silhouettes do not show, such as a bowl, whose inside sees half of the sky. It is above the measurement error
+/// halfway through a training: 0.04 to 0.09 on a matte ball, 0.14 on a mirror, whose reflection is made of Gaussians
+/// inside it.
 pub const OFF_TOLERANCE: f32 = 0.18;
-/// Mean change of ambient occlusion that cutting degrees may cause.
+/// Largest mean change of ambient occlusion when SH degrees are removed.
 pub const AMBIENT_TOLERANCE: f32 = 0.005;
-/// Mean squared error of the field (0 to 1) that cutting degrees may cause.
+/// Largest mean squared error of the field (0 to 1) when SH degrees are removed.
 pub const FIELD_TOLERANCE: f32 = 0.01;
-/// Bounced over direct irradiance up to which bounced light is left out.
+/// Ratio of bounced to direct irradiance up to which bounced light is removed.
 pub const INDIRECT_TOLERANCE: f32 = 0.01;
-/// Display colour that the radiance branch may lose, root mean square.
+/// Largest loss of display colour in the radiance branch, root mean square.
 pub const RADIANCE_TOLERANCE: f32 = 0.01;
-/// Training PSNR that holding everything at dielectric may cost at once, dB.
+/// Largest immediate loss of training PSNR when all surfaces become dielectric, dB.
 pub const METALNESS_TOLERANCE: f32 = 0.1;
-/// Training PSNR that leaving sheen out may cost at the end, dB.
+/// Largest loss of training PSNR when sheen is removed at the end, dB.
 pub const SHEEN_TOLERANCE: f32 = 0.05;
-/// Linear albedo that merging prototypes may move into the residuals, root mean square.
+/// Largest linear albedo that merging prototypes may move into the residuals, root mean square.
 pub const PROTOTYPE_TOLERANCE: f32 = 0.08;
-/// Training PSNR that dropping Gaussians may cost at once, dB.
+/// Largest immediate loss of training PSNR when Gaussians are dropped, dB.
 pub const DROP_TOLERANCE: f32 = 0.05;
-/// Shares of the Gaussians, those of least weight, that are dropped in trials, in this order.
+/// Shares of the Gaussians, those of least weight, that are dropped in successive trials.
 pub const DROPPED_SHARES: [f32; 12] = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7];
 /// Training PSNR per doubling of the Gaussians below which no more are added, dB.
 pub const MIN_PSNR_GAIN: f32 = 0.2;
-/// Training PSNR beyond which no more Gaussians are added, dB: a root mean square error of 3.6 / 255.
+/// Training PSNR above which no more Gaussians are added, dB: a root mean square error of 3.6 / 255.
 pub const SUFFICIENT_PSNR: f32 = 37.0;
 
 /// The visibility field that a scene requires.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RequiredVisibility {
-    /// None: every surface sees all directions that it faces.
+    /// None: every surface sees all directions in its hemisphere.
     Off,
-    /// Degrees up to this.
+    /// SH degrees up to this one.
     Degree(usize),
 }
 
@@ -51,25 +52,25 @@ impl fmt::Display for RequiredVisibility {
     }
 }
 
-/// What is known about the shape of a scene.
+/// Knowledge about the shape of a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Convexity {
-    /// It is convex: no surface hides the sky from another.
+    /// The scene is convex: no surface blocks the sky for another.
     Convex,
-    /// It is not, or there is no evidence that it is.
+    /// The scene is not convex, or there is no evidence that it is.
     Unproven,
 }
 
-/// The convexity by silhouettes (`concavity`, `None` without masks) and by measured visibility (`off`, the mean change of
-/// ambient occlusion without it).
+/// The convexity from silhouettes (`concavity`, `None` without masks) and from measured visibility (`off`, the mean
+/// change of ambient occlusion without visibility).
 pub fn convexity(concavity: Option<f32>, off: f32) -> Convexity {
     let is_convex = concavity.is_some_and(|c| c <= CONVEX_TOLERANCE) && off <= OFF_TOLERANCE;
     if is_convex { Convexity::Convex } else { Convexity::Unproven }
 }
 
-/// The least visibility within tolerance; none for a convex object, unless gathered light stays.
+/// The least visibility within tolerance; none for a convex object, unless gathered light is kept.
 ///
-/// Never degree 0 of a higher configured degree: degree 1 holds the open side of a surface.
+/// Never degree 0 if the configured degree is higher: degree 1 contains the open side of a surface.
 pub fn visibility(errors: &VisibilityErrors, convexity: Convexity, is_gathered: bool) -> RequiredVisibility {
     if convexity == Convexity::Convex && !is_gathered {
         return RequiredVisibility::Off;
@@ -79,7 +80,8 @@ pub fn visibility(errors: &VisibilityErrors, convexity: Convexity, is_gathered: 
     RequiredVisibility::Degree((1..sh_degree).find(fits).unwrap_or(sh_degree))
 }
 
-/// The Gaussians left when `share` of them, those of least weight, are dropped: in order, at least one.
+/// The indices of the Gaussians that remain when `share` of them, those of least weight, are dropped: ascending, at
+/// least one.
 pub fn heaviest(weights: &[f32], share: f32) -> Vec<usize> {
     let mut by_weight: Vec<usize> = (0..weights.len()).collect();
     by_weight.sort_unstable_by(|a, b| weights[*a].total_cmp(&weights[*b]).then(b.cmp(a)));
@@ -91,18 +93,18 @@ pub fn heaviest(weights: &[f32], share: f32) -> Vec<usize> {
 
 /// The least degree of the radiance branch whose loss is within tolerance.
 ///
-/// Never degree 0 of a higher configured degree: degree 1 takes the part of the colour that depends on the direction, so
-/// that albedo restarts from the rest.
+/// Never degree 0 if the configured degree is higher: degree 1 takes the direction-dependent part of the colour, and
+/// albedo restarts from the rest.
 pub fn radiance_degree(residuals: &[f32]) -> usize {
     let most = residuals.len().saturating_sub(1);
     residuals.iter().position(|r| *r <= RADIANCE_TOLERANCE).unwrap_or(most).max(1).min(most)
 }
 
-/// The prototypes to merge: groups, the heaviest member first. The cheapest merge of each round is made while the albedo that
-/// moves into the residuals (root mean square, the second value) is within tolerance.
+/// Groups of prototypes to merge, the heaviest member first. Each round makes the cheapest merge while the albedo
+/// that moves into the residuals (root mean square, the second value) is within tolerance.
 ///
-/// The cost is that of the mixtures of the Gaussians, not the distance of the prototypes' colours: all Gaussians may mix two
-/// distant colours in the same proportion, and a prototype may have no weight at all.
+/// The cost considers the mixtures of the Gaussians, not only the distance of the prototypes' colours: all Gaussians
+/// may mix two distant colours in the same proportion, and a prototype may have no weight at all.
 pub fn prototypes(colours: &[[f32; 3]], overlap: &Overlap) -> (Vec<Vec<usize>>, f32) {
     let shown: Vec<[f32; 3]> = colours.iter().map(|c| c.map(|v| v.clamp(0.0, 1.0))).collect();
     let mut groups: Vec<Vec<usize>> = (0..shown.len()).map(|k| vec![k]).collect();
@@ -123,7 +125,7 @@ pub fn prototypes(colours: &[[f32; 3]], overlap: &Overlap) -> (Vec<Vec<usize>>, 
     (groups, moved)
 }
 
-/// The two groups, in order, whose means are nearest, weighted as in Ward's method: the cost of merging them if no Gaussian
+/// The two groups, in order, with the nearest means, weighted as in Ward's method: the cost of a merge if no Gaussian
 /// mixes the two.
 fn cheapest_merge(colours: &[[f32; 3]], groups: &[Vec<usize>], overlap: &Overlap) -> Option<(usize, usize)> {
     let of: Vec<_> = groups.iter().map(|g| (overlap.mean(colours, g), overlap.mass_of(g))).collect();
@@ -135,9 +137,11 @@ fn cheapest_merge(colours: &[[f32; 3]], groups: &[Vec<usize>], overlap: &Overlap
     pairs.min_by(|x, y| cost(x).total_cmp(&cost(y)))
 }
 
-/// Whether more Gaussians no longer improve the result, from `(Gaussians, training PSNR)` after each round of density control.
+/// Whether more Gaussians no longer improve the result, from `(Gaussians, training PSNR)` after each round of density
+/// control.
 ///
-/// Judged on two rounds in a row: the PSNR of one is a mean over some photographs, not over all.
+/// The criterion must hold for two consecutive rounds, because the PSNR of one round is a mean over only some
+/// photographs.
 pub fn is_enough(history: &[(u32, f32)]) -> bool {
     let [.., a, b, c] = history else { return false };
     let is_flat = |from: &(u32, f32), to: &(u32, f32)| {
@@ -172,7 +176,7 @@ mod tests {
         assert_eq!(visibility(&errors(0.2, flat, needs_all), Unproven, false), RequiredVisibility::Degree(4));
     }
 
-    /// Mixtures of equally heavy Gaussians.
+    /// Mixtures of Gaussians with equal weight.
     fn mixed<const K: usize>(shares: &[[f32; K]]) -> Overlap {
         let mut g = relume_scene::Gaussians::zeroed(shares.len(), K, 0, 0);
         for (i, shares) in shares.iter().enumerate() {
@@ -191,7 +195,7 @@ mod tests {
         assert!(moved > 0.0 && moved < 0.01, "{moved}");
         let (apart, moved) = prototypes(&colours[2..], &mixed(&[[1.0, 0.0], [0.0, 1.0]]));
         assert_eq!((apart, moved), (vec![vec![0], vec![1]], 0.0), "the control: far apart and used");
-        assert_eq!(prototypes(&colours[..1], &mixed(&[[1.0]])).0, [vec![0]], "one always stays");
+        assert_eq!(prototypes(&colours[..1], &mixed(&[[1.0]])).0, [vec![0]], "at least one stays");
         assert_eq!(prototypes(&[], &mixed::<0>(&[])).0, Vec::<Vec<usize>>::new());
     }
 
@@ -205,11 +209,11 @@ mod tests {
     #[test]
     fn growth_ends_after_two_flat_rounds_or_at_the_highest_psnr() {
         assert!(is_enough(&[(1000, 30.0), (1200, 30.01), (1400, 30.0)]));
-        assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.3)]), "once is not twice");
+        assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.3)]), "one flat round is not enough");
         assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.6)]));
         assert!(
             !is_enough(&[(1000, 30.0), (1000, 30.0), (1000, 30.0)]),
-            "nothing was added, nothing is known"
+            "without added Gaussians there is no evidence"
         );
         assert!(is_enough(&[(1000, 42.5), (1200, 43.0), (1400, 43.5)]));
         assert!(!is_enough(&[(1200, 30.0), (1400, 30.0)]));
@@ -219,7 +223,7 @@ mod tests {
     fn least_contributing_gaussians_are_dropped_but_never_all() {
         let weights = [0.5, 0.0, 3.0, 0.0, 1.0];
         assert_eq!(heaviest(&weights, 0.0), [0, 1, 2, 3, 4]);
-        assert_eq!(heaviest(&weights, 0.2), [0, 1, 2, 4], "of equals the later one");
+        assert_eq!(heaviest(&weights, 0.2), [0, 1, 2, 4], "of equal weights the later one");
         assert_eq!(heaviest(&weights, 0.7), [2, 4]);
         assert_eq!(heaviest(&weights, 1.0), [2]);
         assert!(heaviest(&[], 0.5).is_empty());
@@ -228,7 +232,7 @@ mod tests {
     #[test]
     fn radiance_degree_keeps_only_significant_coefficients() {
         assert_eq!(radiance_degree(&[0.005, 0.001, 0.0]), 1);
-        assert_eq!(radiance_degree(&[0.0]), 0, "what is not there cannot stay");
+        assert_eq!(radiance_degree(&[0.0]), 0, "the degree cannot increase");
         assert_eq!(radiance_degree(&[0.05, 0.004, 0.0]), 1);
         assert_eq!(radiance_degree(&[0.05, 0.04, 0.0]), 2);
     }

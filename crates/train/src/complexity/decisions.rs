@@ -1,4 +1,4 @@
-//! What is decided at which point of a training.
+//! The decisions at each decision point of a training.
 
 use crate::complexity::photographs::{DecisionContext, FEW_VIEWS};
 use crate::complexity::state::{ComplexityState, DecisionPoint};
@@ -11,7 +11,7 @@ use relume_spec::training::ComplexitySetting;
 impl ComplexityState {
     /// Makes the decisions of `point` and applies them to `state`, whose parameters must be finite.
     ///
-    /// Orders, forward model and the numbers of Gaussians and prototypes may change.
+    /// SH degrees, forward model and the numbers of Gaussians and prototypes may change.
     pub fn decide(
         &mut self,
         point: DecisionPoint,
@@ -41,7 +41,7 @@ impl ComplexityState {
     }
 }
 
-/// Merges prototypes that the photographs hardly tell apart.
+/// Merges prototypes that the photographs hardly distinguish.
 fn merge_prototypes(complexity: &mut ComplexityState, context: &DecisionContext<'_>, state: &mut TrainState) {
     let n = state.model.prototypes.len();
     if context.is_forced(ComplexitySetting::Prototypes) {

@@ -1,7 +1,7 @@
-//! Evidence: what the state of a training shows about what its scene requires. Pure functions on plain arrays.
+//! Evidence from the state of a training about the model that its scene requires. Pure functions on plain arrays.
 //!
-//! Every mean is weighted by what a Gaussian contributes to the photographs (summed blending weight): what no
-//! photograph shows, such as the inside of an object, is no evidence.
+//! Every mean is weighted by the contribution of a Gaussian to the photographs (summed blending weight): parts that
+//! no photograph shows, such as the inside of an object, are no evidence.
 
 use std::f32::consts::PI;
 
@@ -9,10 +9,10 @@ use relume_engine::cpu::softmax;
 use relume_scene::light::{LightTables, nrsh};
 use relume_scene::{Field, Gaussians, sh_count};
 
-/// Most visibility coefficients (order 8).
+/// Greatest number of visibility coefficients (SH degree 8).
 const MAX_COEFFICIENTS: usize = 81;
 
-/// Mean of `(value, weight)` pairs, 0 without weight.
+/// Mean of `(value, weight)` pairs; 0 without weight.
 pub fn weighted_mean(pairs: impl Iterator<Item = (f32, f32)>) -> f32 {
     let (sum, weight) = pairs.fold((0.0f64, 0.0f64), |(sum, total), (value, weight)| {
         (sum + f64::from(value) * f64::from(weight), total + f64::from(weight))
@@ -20,20 +20,21 @@ pub fn weighted_mean(pairs: impl Iterator<Item = (f32, f32)>) -> f32 {
     if weight > 0.0 { (sum / weight) as f32 } else { 0.0 }
 }
 
-/// Errors of the measured visibility when its degrees are cut.
+/// Errors of the measured visibility when SH degrees are removed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VisibilityErrors {
     /// Mean `|1 - AO|`: without visibility every surface is fully open.
     pub off: f32,
-    /// Mean `|AO_l - AO_L|` by degree kept `l`, from 0 to `L`.
+    /// Mean `|AO_l - AO_L|` by kept degree `l`, from 0 to `L`.
     pub ambient: Vec<f32>,
-    /// Mean squared error of the field over the sphere by degree kept: `sum_(j beyond l) c_j^2 / 4 pi` (Parseval).
+    /// Mean squared error of the field over the sphere by kept degree `l`: `sum_(j beyond l) c_j^2 / 4 pi`
+    /// (Parseval).
     pub field: Vec<f32>,
 }
 
-/// The direction in which each field of `coefficients` is most open, from its degree 1; up where it has none.
+/// The direction in which each field of `coefficients` is most open, from its degree 1; +Z without degree 1.
 ///
-/// Early in a training Gaussians are round and their normals arbitrary; the measured visibility is not.
+/// Early in a training Gaussians are round and their normals arbitrary, but the measured visibility is reliable.
 pub fn open_directions(coefficients: &[f32], sh_degree: usize) -> Vec<[f32; 3]> {
     let open = |c: &[f32]| {
         let [x, y, z] = if c.len() >= 4 { [-c[3], -c[1], c[2]] } else { [0.0; 3] };
@@ -43,9 +44,10 @@ pub fn open_directions(coefficients: &[f32], sh_degree: usize) -> Vec<[f32; 3]> 
     coefficients.chunks_exact(sh_count(sh_degree)).map(open).collect()
 }
 
-/// Share of a silhouette's convex hull that the silhouette leaves empty, in pixels; `None` without a silhouette.
+/// Share of the pixels of a silhouette's convex hull that the silhouette leaves empty; `None` without a silhouette.
 ///
-/// Zero for every image of a convex object, however coarse: no pixel centre lies between the silhouette and its hull.
+/// Zero for every image of a convex object at any resolution: no pixel centre lies between the silhouette and its
+/// hull.
 pub fn concavity(alpha: &[f32], width: usize) -> Option<f32> {
     let mut points: Vec<[i64; 2]> = Vec::new();
     let mut covered = 0usize;
@@ -57,7 +59,7 @@ pub fn concavity(alpha: &[f32], width: usize) -> Option<f32> {
         }
     }
     let (top, bottom) = (points.first()?[1], points.last()?[1]);
-    // The hull's left and right chain by monotone chains over rows.
+    // The left and right chains of the hull, by monotone chains over rows.
     let chain = |side: i64| {
         let mut chain: Vec<[i64; 2]> = Vec::new();
         for p in points.iter().skip(usize::from(side > 0)).step_by(2) {
@@ -83,7 +85,8 @@ pub fn concavity(alpha: &[f32], width: usize) -> Option<f32> {
     Some(((hull - covered as f64) / hull.max(1.0)).max(0.0) as f32)
 }
 
-/// Errors of cutting the measurement `coefficients` (`[Gaussian][(sh_degree + 1)^2]`), seen along `normals`.
+/// Errors when SH degrees of the measurement `coefficients` (`[Gaussian][(sh_degree + 1)^2]`) are removed; ambient
+/// occlusion is evaluated along `normals`.
 pub fn visibility(
     coefficients: &[f32],
     sh_degree: usize,
@@ -142,7 +145,7 @@ pub fn indirect_share(
     bounced / mean(&direct).max(1e-9)
 }
 
-/// Root mean square of the display colour that the radiance branch loses over all directions, by degree kept.
+/// Root mean square of the display colour that the radiance branch loses over all directions, by kept degree.
 pub fn radiance_residuals(g: &Gaussians, weights: &[f32]) -> Vec<f32> {
     let sh_degree = g.radiance_degree();
     let beyond = |i: usize, degree: usize| -> f32 {
@@ -153,7 +156,7 @@ pub fn radiance_residuals(g: &Gaussians, weights: &[f32]) -> Vec<f32> {
     (0..=sh_degree).map(|degree| mean(degree).sqrt()).collect()
 }
 
-/// How the Gaussians mix the prototypes.
+/// Statistics of how the Gaussians mix the prototypes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Overlap {
     /// Weighted mean of `p_k p_l`, (K, K).
@@ -174,22 +177,22 @@ impl Overlap {
             }
         }
         let total = sums.iter().sum::<f64>().max(1e-12);
-        // Shares of a Gaussian add up to 1, so a row's products add up to its prototype's mass.
+        // The shares of a Gaussian add up to 1, so the products of a row add up to the mass of its prototype.
         let masses = sums.chunks_exact(k.max(1)).map(|row| (row.iter().sum::<f64>() / total) as f32);
         Self { masses: masses.collect(), products: sums.iter().map(|s| (s / total) as f32).collect() }
     }
 
-    /// Share of the photographs' pixels that prototype `k` colours.
+    /// Share of the photographs' pixels with the colour of prototype `k`.
     pub fn mass(&self, k: usize) -> f32 {
         self.masses[k]
     }
 
-    /// The same of a group.
+    /// The mass of a group of prototypes.
     pub fn mass_of(&self, group: &[usize]) -> f32 {
         group.iter().map(|k| self.masses[*k]).sum()
     }
 
-    /// The colour that stands for a group: the mean by mass, or its first member's where it colours nothing.
+    /// The colour of a group: the mean by mass, or the colour of its first member if the mass is 0.
     pub fn mean(&self, colours: &[[f32; 3]], group: &[usize]) -> [f32; 3] {
         let mass = self.mass_of(group);
         if mass <= 1e-9 {
@@ -198,7 +201,7 @@ impl Overlap {
         std::array::from_fn(|c| group.iter().map(|k| self.masses[*k] * colours[*k][c]).sum::<f32>() / mass)
     }
 
-    /// Root mean square of the albedo that moves into the residuals when each group becomes one prototype.
+    /// Root mean square of the albedo that moves into the residuals if each group becomes one prototype.
     pub fn moved(&self, colours: &[[f32; 3]], groups: &[Vec<usize>]) -> f32 {
         let mut shift = vec![[0.0f32; 3]; colours.len()];
         for group in groups {
@@ -214,7 +217,7 @@ impl Overlap {
     }
 }
 
-/// Coefficients of a field that is open on the side of `normal` only, and of one open everywhere (for tests).
+/// Coefficients of a field that is open only on the side of `normal`.
 #[cfg(test)]
 pub(super) fn half_open(sh_degree: usize, normal: [f32; 3]) -> Vec<f32> {
     let directions = relume_engine::fibonacci_sphere(4096);
@@ -237,7 +240,7 @@ mod tests {
     fn visibility_errors_match_the_analytic_half_sky_energy() {
         let up = [0.0, 0.0, 1.0];
         let errors = visibility(&half_open(4, up), 4, &[up], &[2.0]);
-        assert!(errors.off < 0.01, "open to all that it faces: {errors:?}");
+        assert!(errors.off < 0.01, "open in its whole hemisphere: {errors:?}");
         // Half the sphere: its degree-1 coefficient is sqrt(3 pi) / 2, its degree-3 coefficient -sqrt(7 pi) / 8.
         let [one, three] = [3.0 / 16.0, 7.0 / 256.0];
         for (l, expected) in [one + three, three, three, 0.0, 0.0].into_iter().enumerate() {
@@ -248,11 +251,11 @@ mod tests {
         let beside = visibility(&wall, 4, &[up], &[1.0]);
         assert!(
             (beside.off - 0.5).abs() < 0.02,
-            "the control: a wall hides half of what it faces: {beside:?}"
+            "the control: a wall blocks half of its hemisphere: {beside:?}"
         );
         let both: Vec<f32> = half_open(4, up).into_iter().chain(wall).collect();
         let unseen = visibility(&both, 4, &[up, up], &[1.0, 0.0]);
-        assert!(unseen.off < 0.01, "what no photograph shows does not count: {unseen:?}");
+        assert!(unseen.off < 0.01, "invisible Gaussians do not count: {unseen:?}");
     }
 
     #[test]
@@ -303,7 +306,7 @@ mod tests {
         assert_eq!(
             radiance_residuals(&g, &[0.0, 1.0])[0],
             0.0,
-            "the control: the other is the same all round"
+            "the control: the other Gaussian does not depend on direction"
         );
     }
 
@@ -317,7 +320,7 @@ mod tests {
         // (3 / 4 + 1) / 4 and the rest.
         assert!((masses[0] - 1.75 / 4.0).abs() < 1e-5 && (masses[1] - 2.25 / 4.0).abs() < 1e-5, "{masses:?}");
         assert!(Overlap::of(&g, &[0.0, 1.0]).mass(1) < 1e-6);
-        // Merged, the mean is 0.3 + 0.4 x 2.25 / 4; the first Gaussian had 0.6, the second 0.3.
+        // Merged, the mean is 0.3 + 0.4 x 2.25 / 4; the albedos were 0.6 and 0.3.
         let moved = overlap.moved(&[[0.3; 3], [0.7; 3]], &[vec![0, 1]]);
         let mean = 0.3 + 0.4 * 2.25 / 4.0;
         let expected = (0.75 * (0.6f32 - mean).powi(2) + 0.25 * (0.3 - mean).powi(2)).sqrt();

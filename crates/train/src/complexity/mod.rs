@@ -1,10 +1,12 @@
-//! Reduces the model to what a scene requires (`complexity: auto`): at fixed points of a training, evidence is gathered from
-//! its state, the model is made as small as stated tolerances allow, and both go into the model card.
+//! Reduces the model to what a scene requires (`complexity: auto`). At fixed points of a training, evidence is
+//! gathered from its state, and the model is reduced as far as stated tolerances allow. Decisions and evidence are
+//! recorded in the model card.
 //!
-//! Decisions depend on the state of the training alone, so a resumed training decides what an uninterrupted one does.
+//! Decisions depend only on the state of the training, so a resumed training decides as an uninterrupted one.
 //!
-//! [`state`] records what was decided. `evidence` and `decide` are pure functions on plain arrays; `photographs` gathers
-//! evidence that takes rendering; `sh_degrees` and `ablations` make the decisions from them, `apply` changes the model.
+//! [`state`] records the decisions. `evidence` and `decide` are pure functions on plain arrays; `photographs` gathers
+//! evidence that requires rendering; `sh_degrees` and `ablations` make the decisions from them; `apply` changes the
+//! model.
 
 mod ablations;
 mod apply;

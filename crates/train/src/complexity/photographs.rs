@@ -1,4 +1,5 @@
-//! Evidence from photographs: what they show of each Gaussian, and how well a state explains them.
+//! Evidence from photographs: the visible contribution of each Gaussian, and how well a state explains the
+//! photographs.
 
 use crate::complexity::evidence;
 use crate::context::StepContext;
@@ -7,19 +8,19 @@ use relume_engine::cpu::evaluation;
 use relume_engine::{Photo, PhotoSize, TrainState};
 use relume_spec::training::{ComplexitySetting, TrainConfig};
 
-/// Photographs from which blending weights are taken where a rough figure is enough.
+/// Number of photographs for blending weights if an approximate value is sufficient.
 pub const FEW_VIEWS: usize = 12;
-/// The same where single Gaussians are judged.
+/// Number of photographs for blending weights if single Gaussians are assessed.
 pub const MANY_VIEWS: usize = 64;
-/// Photographs on which the model is tried without one of its parts.
+/// Number of photographs on which ablations are tested.
 const ABLATION_PHOTOS: usize = 8;
 
-/// What a decision is made from besides the state of the training.
+/// Inputs of a decision besides the state of the training.
 #[derive(Debug, Clone, Copy)]
 pub struct DecisionContext<'a> {
     /// Configuration, operators and background.
     pub step: &'a StepContext<'a>,
-    /// Steps done.
+    /// Completed steps.
     pub steps: u32,
     /// The training photographs.
     pub photos: &'a Dataset,
@@ -31,12 +32,12 @@ impl<'a> DecisionContext<'a> {
         self.step.config
     }
 
-    /// Whether a caller has set what would be decided.
+    /// Whether the caller has set the value that would be decided.
     pub fn is_forced(&self, setting: ComplexitySetting) -> bool {
         self.step.config.forced.contains(&setting)
     }
 
-    /// Mean blending weight a photograph, pixels, of each Gaussian over at most `most` photographs.
+    /// Mean blending weight of each Gaussian per photograph, pixels, over at most `most` photographs.
     pub fn blending_weights(&self, state: &TrainState, most: usize) -> Vec<f32> {
         let mut sums = vec![0.0f32; state.model.gaussians.len()];
         for i in self.evenly_spaced(most) {
@@ -58,7 +59,7 @@ impl<'a> DecisionContext<'a> {
         self.psnr(|photo| self.step.radiance_error(state, photo))
     }
 
-    /// PSNR by the mean squared error that `error` finds on one photograph.
+    /// PSNR from the mean squared error that `error` returns for one photograph, dB.
     fn psnr(&self, error: impl Fn(&Photo) -> f32) -> f32 {
         let decoded =
             self.evenly_spaced(ABLATION_PHOTOS).map(|i| self.photos.decode_uncached(i, PhotoSize::Full));
@@ -66,7 +67,7 @@ impl<'a> DecisionContext<'a> {
         -10.0 * evidence::weighted_mean(errors).max(1e-10).log10()
     }
 
-    /// Mean share of the convex hulls of the silhouettes that the silhouettes leave empty; `None` without masks.
+    /// Mean share of the silhouettes' convex hulls that the silhouettes leave empty; `None` without masks.
     pub fn concavity(&self) -> Option<f32> {
         if !self.step.has_alpha {
             return None;
@@ -77,7 +78,7 @@ impl<'a> DecisionContext<'a> {
         (!all.is_empty()).then(|| all.iter().sum::<f32>() / all.len() as f32)
     }
 
-    /// Indices of at most `most` photographs.
+    /// Evenly spaced indices of at most `most` photographs.
     fn evenly_spaced(&self, most: usize) -> impl Iterator<Item = usize> + use<> {
         let (all, count) = (self.photos.len(), self.photos.len().min(most));
         (0..count).map(move |i| i * all / count.max(1))

@@ -1,4 +1,4 @@
-//! Decisions on degrees and on bounced light, from the first measurement of visibility.
+//! Decisions on SH degrees and bounced light, from the first measurement of visibility.
 
 use crate::complexity::decide::{self, Convexity, RequiredVisibility};
 use crate::complexity::photographs::DecisionContext;
@@ -9,7 +9,7 @@ use relume_engine::cpu::evaluation;
 use relume_scene::{Field, IndirectForm, LightSplit, VisibilityForm};
 use relume_spec::training::ComplexitySetting;
 
-/// What the photographs show.
+/// Evidence from the photographs.
 #[derive(Debug, Clone)]
 pub struct PhotoEvidence {
     /// Mean blending weight of each Gaussian, pixels.
@@ -18,7 +18,7 @@ pub struct PhotoEvidence {
     pub concavity: Option<f32>,
 }
 
-/// Decides on bounced light, visibility and radiance, in this order, and applies it.
+/// Decides on bounced light, visibility and radiance, in this order, and applies the decisions.
 pub fn decide(
     complexity: &mut ComplexityState,
     context: &DecisionContext<'_>,
@@ -41,7 +41,8 @@ pub fn decide(
     apply::cut_degrees(state, visibility, radiance);
 }
 
-/// The degree of the radiance branch, from what each degree loses; `residuals` has one more value than that degree.
+/// Decides the degree of the radiance branch from the loss at each degree; `residuals` has one value per degree from
+/// 0 on.
 fn decide_radiance(
     complexity: &mut ComplexityState,
     context: &DecisionContext<'_>,
@@ -98,7 +99,7 @@ fn decide_visibility(
     required
 }
 
-/// Whether bounced light stays: on a convex object there is none, and a small share of it may be left out.
+/// Whether bounced light is kept. A convex object has none, and a small share may be removed.
 fn decide_indirect(
     complexity: &mut ComplexityState,
     context: &DecisionContext<'_>,

@@ -1,4 +1,4 @@
-//! The record of decisions: what was decided so far, and when the next decisions are due.
+//! The record of decisions, and when the next decisions are due.
 
 use std::collections::BTreeMap;
 
@@ -8,27 +8,27 @@ use serde_json::{Value, json};
 use crate::complexity::decide;
 use relume_spec::training::{Complexity, ComplexitySetting, TrainConfig};
 
-/// Earliest share of the steps at which a state is evidence.
+/// Earliest share of the steps after which decisions are made.
 const EARLIEST: f32 = 0.2;
 
 /// One decision with its evidence.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ComplexityDecision {
-    /// What was decided on.
+    /// The setting.
     pub setting: ComplexitySetting,
-    /// Steps done.
+    /// Completed steps.
     pub step: u32,
     /// The value before.
     pub was: String,
-    /// The value since.
+    /// The value after.
     pub is: String,
-    /// True when a caller set the value, so that there was nothing to decide.
+    /// True when the caller set the value, so no decision was made.
     pub forced: bool,
-    /// Measured figures, and the tolerances they were compared with.
+    /// Measured values, and the tolerances they were compared with.
     pub evidence: BTreeMap<String, f32>,
 }
 
-/// The rounds of density control so far, for [`decide::is_enough`].
+/// The rounds of density control so far, the input of [`decide::is_enough`].
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Growth {
     /// Sum of the PSNRs of the steps since the last round, dB.
@@ -39,35 +39,36 @@ struct Growth {
     history: Vec<(u32, f32)>,
 }
 
-/// What was decided so far, and what the next decisions need; part of every checkpoint.
+/// The decisions so far, and the state for the next ones; part of every checkpoint.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct ComplexityState {
     /// Decisions in order.
     pub findings: Vec<ComplexityDecision>,
-    /// True when metalness is held at dielectric.
+    /// True when all surfaces are kept dielectric.
     pub is_dielectric: bool,
-    /// The most Gaussians, once more were found not to improve the result.
+    /// Limit on the number of Gaussians, once more Gaussians no longer improve the result.
     pub most_gaussians: Option<u32>,
-    /// Decision points passed.
+    /// Number of decision points passed.
     pub(super) points: u8,
     growth: Growth,
 }
 
-/// When decisions are made.
+/// The points of a training at which decisions are made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DecisionPoint {
     /// Visibility was measured for the first time.
     Measured,
-    /// The step before [`DecisionPoint::HalfWay`]: materials restart there by default, and are trained here.
+    /// The step before [`DecisionPoint::HalfWay`]. Materials restart there by default; at this point they are
+    /// trained.
     Trained,
-    /// Half of the time between the first point and the end.
+    /// Halfway between the first point and the end.
     HalfWay,
-    /// All steps are done.
+    /// All steps are completed.
     End,
 }
 
 impl ComplexityState {
-    /// The decisions that are due after `steps` steps.
+    /// The decision point that is due after `steps` steps, if any.
     pub fn due(&self, config: &TrainConfig, steps: u32) -> Option<DecisionPoint> {
         if config.complexity == Complexity::Full {
             return None;
@@ -84,8 +85,8 @@ impl ComplexityState {
         }
     }
 
-    /// Adds the PSNR of a step, dB. `phase` tells apart what it was measured on: figures of different phases cannot be
-    /// compared.
+    /// Adds the PSNR of a step, dB. `phase` identifies the images that were compared; values of different phases are
+    /// not comparable.
     pub fn record(&mut self, phase: u32, psnr: f32) {
         let growth = &mut self.growth;
         if growth.phase != phase {
@@ -95,7 +96,7 @@ impl ComplexityState {
         growth.steps += 1;
     }
 
-    /// Before a round of density control with `gaussians` so far: decides whether more may be added.
+    /// Called before a round of density control with `gaussians` Gaussians: decides whether more may be added.
     pub fn before_round(&mut self, config: &TrainConfig, steps: u32, gaussians: usize) {
         let is_open = self.most_gaussians.is_none() && !config.forced.contains(&ComplexitySetting::Gaussians);
         if config.complexity == Complexity::Full || !is_open || self.growth.steps == 0 {
@@ -140,7 +141,7 @@ impl ComplexityState {
         self.findings.push(ComplexityDecision { setting, step, was, is, forced: false, evidence });
     }
 
-    /// Records that a caller had set `setting`.
+    /// Records that the caller had set `setting`.
     pub(super) fn record_forced_value(&mut self, setting: ComplexitySetting, step: u32, value: String) {
         let evidence = BTreeMap::new();
         self.findings.push(ComplexityDecision {
@@ -153,7 +154,7 @@ impl ComplexityState {
         });
     }
 
-    /// The part of the model card about decisions.
+    /// The part of the model card about the decisions.
     pub fn card(&self, config: &TrainConfig) -> Value {
         let finding = |f: &ComplexityDecision| {
             let evidence: BTreeMap<&String, f64> = f.evidence.iter().map(|(k, v)| (k, rounded(*v))).collect();
@@ -169,7 +170,7 @@ impl ComplexityState {
     }
 }
 
-/// Four significant digits: the measurements are no more accurate than that.
+/// Rounds to four significant digits, the accuracy of the measurements.
 fn rounded(value: f32) -> f64 {
     format!("{value:.3e}").parse().unwrap_or_default()
 }
@@ -240,7 +241,7 @@ mod tests {
                 trained - anew > (iterations - auto.warm_up_steps()) / 6,
                 "{anew}, {trained} of {iterations}"
             );
-            assert!(auto.is_albedo_round(half_way), "the control: the next decisions come after a start");
+            assert!(auto.is_albedo_round(half_way), "the control: the next decisions follow a restart");
         }
     }
 

@@ -1,4 +1,4 @@
-//! Decisions on hand-made states, and what applying them leaves unchanged.
+//! Tests of decisions on constructed states, and of what applying them preserves.
 
 use serde_json::Value;
 
@@ -87,7 +87,7 @@ fn merging_prototypes_preserves_albedo_through_the_residual() {
         .field_mut(Field::Residual)
         .copy_from_slice(before.model.gaussians.field(Field::Residual));
     let moved = (0..5).any(|i| (0..3).any(|c| (albedo(&before, i)[c] - albedo(&after, i)[c]).abs() > 1e-2));
-    assert!(moved, "the control: it is the residual that holds the albedo");
+    assert!(moved, "the control: the residual contains the difference");
 }
 
 #[test]
@@ -97,7 +97,7 @@ fn making_a_model_dielectric_keeps_its_diffuse_colour() {
     for i in 0..5 {
         let left = 1.0 - relume_engine::cpu::sigmoid(before.model.gaussians.row(Field::MetalLogit, i)[0]);
         let [a, b] = [albedo(&before, i), albedo(&after, i)];
-        // Below 0 and above 1 an albedo is clamped.
+        // An albedo is clamped below 0 and above 1.
         let inside = |v: f32| v > 0.001 && v < 0.999;
         assert!((0..3).all(|c| !inside(a[c]) || (a[c] * left - b[c]).abs() < 1e-5), "{a:?} {b:?}");
         assert!(relume_engine::cpu::sigmoid(after.model.gaussians.row(Field::MetalLogit, i)[0]) < 1e-3);
@@ -118,7 +118,7 @@ fn config(overrides: &TrainOverrides) -> TrainConfig {
     TrainConfig { complexity: Complexity::Auto, ..TrainConfig::new(Preset::Draft, overrides).unwrap() }
 }
 
-/// A ball's upper side: every surface is open to what it faces. `share`: bounced over direct irradiance.
+/// The upper side of a ball, whose surfaces are all unoccluded. `share`: ratio of bounced to direct irradiance.
 fn convex(share: f32) -> TrainState {
     let mut state = small_state();
     let rows = (0..5).flat_map(|_| evidence::half_open(4, [0.0, 0.0, 1.0]));
@@ -136,7 +136,7 @@ fn convex(share: f32) -> TrainState {
     state
 }
 
-/// Calls `act` with a context in which 7 steps are done.
+/// Calls `act` with a context in which 7 steps are completed.
 fn in_context(overrides: &TrainOverrides, photos: &Dataset, act: impl FnOnce(&DecisionContext<'_>)) {
     let config = config(overrides);
     let operators =
@@ -199,7 +199,7 @@ fn settings_given_by_the_caller_are_not_decided() {
     assert!(complexity.findings.iter().all(|f| f.forced) && complexity.findings.len() == 3, "{complexity:?}");
 }
 
-/// Five discs beside each other in front of a camera, of which those of `hidden` are behind it, and their photograph.
+/// Five discs side by side in front of a camera, of which those in `hidden` are behind it, and their photograph.
 fn discs(hidden: &[usize]) -> (TrainState, Photo) {
     let mut state = small_state();
     let g = &mut state.model.gaussians;

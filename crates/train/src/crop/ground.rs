@@ -1,4 +1,4 @@
-//! The ground that a subject stands on, in what the warm-up learned.
+//! Finds the ground under the subject in the geometry after the warm-up.
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
@@ -8,26 +8,26 @@ use relume_engine::TrainState;
 use relume_engine::cpu::evaluation;
 use relume_scene::{Camera, Field};
 
-/// Planes that are tried.
+/// Number of planes that are tested.
 const TRIALS: usize = 3_000;
-/// Least cosine between a plane's normal and +Z, which is where the photographer's up was.
+/// Least cosine between a plane's normal and +Z, the mean up of the cameras.
 const LEVEL: f64 = 0.75;
-/// Distance from a plane within which a Gaussian belongs to it, ball radii: early geometry is rough.
+/// Distance from a plane within which a Gaussian belongs to it, ball radii; early geometry is imprecise.
 const THICKNESS: f64 = 0.05;
-/// Height above the plane at which the subject begins, ball radii.
+/// Height above the plane at which the subject starts, ball radii.
 const CLEARANCE: f64 = 0.03;
-/// Least share of what is seen in the ball that lies on the ground beyond what lies below it, and that stands on it.
+/// Least share of the visible part of the ball that lies on the ground minus that below it, and least share above it.
 const MIN_SHARES: [f64; 2] = [0.08, 0.1];
-/// A Gaussian counts at most this many times the median: a few large ones are haze.
+/// Upper bound of a Gaussian's weight relative to the median; a few large Gaussians are haze.
 const MAX_WEIGHT_RATIO: f64 = 4.0;
 
-/// Upward unit normal of the ground in the ball, and the height along it below which nothing is the subject; `None` where no
-/// level plane carries enough of what `cameras` see.
+/// Upward unit normal of the ground in the ball, and the height along it below which nothing belongs to the subject;
+/// `None` if no level plane contains enough of what `cameras` see.
 pub fn find(state: &TrainState, cameras: &[&Camera], centre: DVec3, radius: f64) -> Option<[f64; 4]> {
     plane(&seen(state, cameras, centre, radius), radius)
 }
 
-/// Positions in the ball, and the pixels that each covers in all photographs together.
+/// Positions in the ball, and the number of pixels that each covers in all photographs together.
 fn seen(state: &TrainState, cameras: &[&Camera], centre: DVec3, radius: f64) -> Vec<(DVec3, f64)> {
     let g = &state.model.gaussians;
     let mut pixels = vec![0.0f64; g.len()];
@@ -40,15 +40,15 @@ fn seen(state: &TrainState, cameras: &[&Camera], centre: DVec3, radius: f64) -> 
     points.filter(|(p, weight)| *weight > 0.0 && (*p - centre).length() < radius).collect()
 }
 
-/// The level plane that carries most of `points` and has least of them below, with its clearance, where it is a ground.
-/// Deterministic.
+/// The level plane with the largest share of `points` on it minus that below it, with its clearance; `None` if the
+/// shares are too small for a ground. Deterministic.
 fn plane(points: &[(DVec3, f64)], radius: f64) -> Option<[f64; 4]> {
     if points.len() < 3 {
         return None;
     }
     let weights = capped(points);
     let thickness = THICKNESS * radius;
-    // Shares of what is seen that lie on a plane, above it and below it.
+    // Shares of the visible part that lie on, above and below a plane.
     let shares = |normal: DVec3, height: f64| {
         let mut sums = [0.0; 3];
         for ((p, _), weight) in points.iter().zip(&weights) {
@@ -76,7 +76,7 @@ fn plane(points: &[(DVec3, f64)], radius: f64) -> Option<[f64; 4]> {
     (carries > MIN_SHARES[0] && above > MIN_SHARES[1]).then_some(plane)
 }
 
-/// Weights of `points`, none above [`MAX_WEIGHT_RATIO`] times the median; their sum is 1.
+/// Weights of `points`, capped at [`MAX_WEIGHT_RATIO`] times the median; their sum is 1.
 fn capped(points: &[(DVec3, f64)]) -> Vec<f64> {
     let mut sorted: Vec<f64> = points.iter().map(|(_, weight)| *weight).collect();
     sorted.sort_unstable_by(f64::total_cmp);

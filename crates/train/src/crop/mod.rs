@@ -1,8 +1,8 @@
-//! Cuts the subject out of photographs without masks.
+//! Crops the subject of photographs without masks.
 //!
-//! The warm-up learns everything that the photographs show. Then the Gaussians inside a region are the subject. The share of
-//! every pixel that they cover is its mask from then on, and the rest is forgotten: it is light. So a capture without masks becomes
-//! one with masks, and all that holds for those holds for it.
+//! The warm-up learns everything that the photographs show. Then the Gaussians inside a region are the subject. The
+//! share of every pixel that they cover becomes its mask, and the other Gaussians are removed: they count as light.
+//! From then on the training is that of a capture with masks.
 
 mod ground;
 mod region;
@@ -16,28 +16,30 @@ use relume_scene::{Camera, Field, Gaussians, LightSplit, Model, ShadingOptions};
 
 pub use region::Region;
 
-/// Zeroth basis function of spherical harmonics: a coefficient of `0.5 / SH0` shows white, one of `-0.5 / SH0` black.
+/// SH basis function of degree 0: a coefficient of `0.5 / SH0` shows white, one of `-0.5 / SH0` black.
 const SH0: f32 = 0.282_094_8;
-/// Opacity logit of what hides nothing.
+/// Opacity logit of an invisible Gaussian.
 const TRANSPARENT: f32 = -30.0;
-/// What of a Gaussian decides which pixels it covers, and its colour: white inside the region, black outside.
+/// The fields that determine which pixels a Gaussian covers, and its colour: white inside the region, black outside.
 pub const SILHOUETTE: [Field; 5] =
     [Field::Mean, Field::LogScale, Field::Quaternion, Field::OpacityLogit, Field::Radiance];
-/// Share of a pixel that the subject covers at which its mask begins and is whole: below is haze, above are gaps.
+/// Shares of a pixel, covered by the subject, at which the mask starts and at which it is 1. Smaller shares are haze,
+/// larger ones have gaps.
 const MASK_RAMP: [f32; 2] = [0.2, 0.6];
 
-/// What was cut out, and all that is needed to make the masks again.
+/// The crop, with everything that is needed to compute the masks again.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SubjectCrop {
-    /// The region, in the normalised world before the cut.
+    /// The region, in the normalised world before the crop.
     pub region: Region,
-    /// The fields of [`SILHOUETTE`] of every Gaussian before the cut, haze without opacity; the others are zero.
+    /// The fields of [`SILHOUETTE`] of every Gaussian before the crop, with zero opacity for haze; the other fields
+    /// are zero.
     pub gaussians: Gaussians,
 }
 
 impl SubjectCrop {
-    /// Cuts `state` along `region`: the Gaussians outside go, and the rest is brought to a world whose unit is the region's radius.
-    /// `None` where fewer than `least` Gaussians lie inside.
+    /// Crops `state` to `region`: removes the Gaussians outside and transforms the rest to a world whose unit is the
+    /// region's radius. `None` if fewer than `least` Gaussians lie inside.
     pub fn of(state: &mut TrainState, region: Region, least: usize) -> Option<Self> {
         let g = &state.model.gaussians;
         let inside = |i: &usize| region.contains(g, *i);
@@ -56,12 +58,12 @@ impl SubjectCrop {
         }
         state.select(&kept);
         region.normalise(state);
-        // The subject lies in the unit ball now, and nothing hides it.
+        // The subject now fills the unit ball, so the default view applies.
         state.model.framing = None;
         Some(Self { region, gaussians: silhouette })
     }
 
-    /// Makes the photographs those of the subject alone, with masks, in the world after the cut.
+    /// Restricts the photographs to the subject, with masks, in the world after the crop.
     pub fn apply(&self, data: &mut Dataset, shading: ShadingOptions) {
         let state = self.state(shading);
         let mask = |camera: &Camera| -> Vec<f32> {
@@ -88,7 +90,7 @@ impl SubjectCrop {
     }
 }
 
-/// The mask of a pixel that the subject covers by `share`.
+/// The mask value of a pixel of which the subject covers `share`.
 fn opacity(share: f32) -> f32 {
     let t = ((share - MASK_RAMP[0]) / (MASK_RAMP[1] - MASK_RAMP[0])).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)

@@ -1,6 +1,6 @@
-//! Decoded photographs, bounded in bytes, and threads that decode what is needed next.
+//! A cache of decoded photographs, bounded in bytes, with threads that decode ahead.
 //!
-//! What is decoded does not depend on who decodes it or when, so that neither the bound nor the threads show in a result.
+//! Decoding is deterministic, so neither the bound nor the threads affect results.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -13,23 +13,23 @@ use relume_engine::{Photo, PhotoSize};
 /// Threads that decode ahead.
 const THREADS: usize = 2;
 
-/// Names a photograph: its index and size.
+/// Identifies a decoded photograph: index and size.
 pub type Key = (usize, PhotoSize);
 
-/// What was decoded for the steps of a training, and how long they waited for it.
+/// Statistics of the decoding for the steps of a training.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct DecodingStats {
-    /// Photographs asked for.
+    /// Photographs requested.
     pub asked: u64,
     /// Photographs decoded.
     pub decoded: u64,
-    /// Times a photograph was not ready when it was asked for.
+    /// Requests for a photograph that was not ready.
     pub waits: u64,
-    /// Time spent in those.
+    /// Time spent in such requests.
     pub waited: Duration,
 }
 
-/// The cache. The least recently used photograph goes first.
+/// The cache. It evicts the least recently used photograph first.
 #[derive(Debug)]
 pub struct PhotoCache {
     shared: Arc<SharedCache>,
@@ -39,7 +39,7 @@ pub struct PhotoCache {
 #[derive(Debug)]
 struct SharedCache {
     state: Mutex<CacheState>,
-    /// Signalled when something was decoded, when something is to be decoded, and at the end.
+    /// Signalled when a photograph was decoded or is to be decoded, and at the end.
     changed: Condvar,
 }
 
@@ -47,13 +47,13 @@ struct SharedCache {
 struct CacheState {
     most: usize,
     entries: HashMap<Key, CacheEntry>,
-    /// Bytes of all entries, those that are being decoded included.
+    /// Bytes of all entries, including those that are being decoded.
     bytes: usize,
-    /// To be decoded ahead, in order.
+    /// Photographs to decode ahead, in order.
     wanted: VecDeque<(Key, Arc<StoredPhoto>)>,
-    /// Counts uses, so that the least recent one is known.
+    /// Counts uses, to find the least recently used entry.
     clock: u64,
-    /// Counts the times that everything was forgotten: what was being decoded then is not kept.
+    /// Number of calls of [`PhotoCache::clear`]. Photographs whose decoding started before the last one are not kept.
     generation: u64,
     stats: DecodingStats,
     ends: bool,
@@ -63,12 +63,12 @@ struct CacheState {
 struct CacheEntry {
     bytes: usize,
     used: u64,
-    /// Absent while it is being decoded.
+    /// Absent while the photograph is being decoded.
     photo: Option<Arc<Photo>>,
 }
 
 impl PhotoCache {
-    /// Keeps at most `most` bytes of decoded photographs, beside those that callers hold.
+    /// A cache of at most `most` bytes, not counting photographs that only callers hold.
     pub fn new(most: usize) -> Self {
         let state = CacheState {
             most,
@@ -87,12 +87,12 @@ impl PhotoCache {
                 .name(format!("relume-photos-{k}"))
                 .spawn(move || shared.decode_ahead())
         };
-        // Without threads photographs are decoded when they are asked for.
+        // Without threads photographs are decoded on request.
         let threads = (0..THREADS).filter_map(|k| start(k).ok()).collect();
         Self { shared, threads }
     }
 
-    /// The photograph, decoded here unless it is ready or nearly so.
+    /// The photograph: from the cache, from a thread that is decoding it, or decoded by this call.
     pub fn get(&self, key: Key, stored: &StoredPhoto) -> Arc<Photo> {
         let mut state = self.shared.lock();
         state.stats.asked += 1;
@@ -108,12 +108,12 @@ impl PhotoCache {
         photo
     }
 
-    /// The photograph if it is ready; nothing is counted.
+    /// The photograph if it is ready; not counted in the statistics.
     pub fn peek(&self, key: Key) -> Option<Arc<Photo>> {
         self.shared.lock().entries.get(&key)?.photo.clone()
     }
 
-    /// Has what is asked for next, in this order, decoded meanwhile, as far as the bound allows.
+    /// Starts to decode the photographs that will be requested next, in this order, as far as the bound allows.
     pub fn prefetch(&self, next: impl Iterator<Item = (Key, Arc<StoredPhoto>)>) {
         let mut state = self.shared.lock();
         state.wanted.clear();
@@ -134,7 +134,7 @@ impl PhotoCache {
         self.shared.changed.notify_all();
     }
 
-    /// Forgets everything: photographs have changed.
+    /// Clears the cache, because photographs have changed.
     pub fn clear(&self) {
         let mut state = self.shared.lock();
         state.generation += 1;
@@ -145,13 +145,13 @@ impl PhotoCache {
         self.shared.changed.notify_all();
     }
 
-    /// Bytes of what is kept, and of what is being decoded.
+    /// Bytes of cached photographs, and of those that are being decoded.
     #[cfg(test)]
     pub fn held(&self) -> usize {
         self.shared.lock().bytes
     }
 
-    /// What was decoded and waited for so far.
+    /// Statistics so far.
     pub fn stats(&self) -> DecodingStats {
         self.shared.lock().stats
     }
@@ -162,7 +162,7 @@ impl Drop for PhotoCache {
         self.shared.lock().ends = true;
         self.shared.changed.notify_all();
         for thread in self.threads.drain(..) {
-            // One that panicked has nothing left to do.
+            // A thread that panicked needs no further handling.
             let _ = thread.join();
         }
     }
@@ -177,7 +177,7 @@ impl SharedCache {
         self.changed.wait(state).unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The work of one thread: decodes what is wanted until the end.
+    /// The loop of a thread: decodes requested photographs until the end.
     fn decode_ahead(&self) {
         let mut state = self.lock();
         while !state.ends {
@@ -193,7 +193,7 @@ impl SharedCache {
         }
     }
 
-    /// A photograph that is not ready: waits for the thread that decodes it, or decodes it.
+    /// A photograph that is not ready: waits for the thread that is decoding it, or decodes it.
     fn decoded<'a>(
         &'a self,
         mut state: MutexGuard<'a, CacheState>,
@@ -214,7 +214,7 @@ impl SharedCache {
         Arc::new(stored.decoded(key.1))
     }
 
-    /// Decodes into an entry of its own, for which there is room.
+    /// Decodes into a new entry. The caller has made room for it.
     fn decode_into(
         &self,
         mut state: MutexGuard<'_, CacheState>,
@@ -236,7 +236,7 @@ impl SharedCache {
 }
 
 impl CacheState {
-    /// The photograph if it is decoded; it becomes the one that was used last.
+    /// The photograph if it is decoded; marks it as most recently used.
     fn ready(&mut self, key: Key) -> Option<Arc<Photo>> {
         self.touch(key);
         self.entries.get(&key)?.photo.clone()
@@ -249,7 +249,7 @@ impl CacheState {
         }
     }
 
-    /// Drops the least recently used photographs until there is room for `bytes`; false where there cannot be.
+    /// Evicts the least recently used photographs until `bytes` fit; false if they cannot fit.
     fn make_room(&mut self, bytes: usize) -> bool {
         if bytes > self.most {
             return false;
@@ -271,7 +271,7 @@ impl CacheState {
     }
 }
 
-/// An entry that is being decoded; it goes where decoding ends in a panic, so that nobody waits for ever.
+/// An entry that is being decoded. Its drop removes the entry if decoding panicked, so that no thread waits for ever.
 struct PendingDecode<'a> {
     shared: &'a SharedCache,
     key: Key,

@@ -1,4 +1,4 @@
-//! What a camera that chose exposure and white balance itself multiplied one photograph by.
+//! The gain of a photograph that results from automatic exposure and white balance.
 
 use relume_engine::Photo;
 use relume_engine::cpu::{linear_from_srgb, srgb};
@@ -6,7 +6,7 @@ use relume_engine::cpu::{linear_from_srgb, srgb};
 /// Linear gain of a photograph, by channel.
 pub type Gain = [f32; 3];
 
-/// Divides what `photo` shows of its subject by `gain`.
+/// Divides the object's part of `photo`, without `background`, by `gain`.
 pub fn divide(photo: &mut Photo, gain: Gain, background: [f32; 3]) {
     let Photo { pixels, alpha, .. } = photo;
     for (i, pixel) in pixels.iter_mut().enumerate() {

@@ -1,4 +1,5 @@
-//! The training photographs with their cameras: in the normalised world, at two resolutions, composited when they are decoded.
+//! The training photographs with their cameras, in the normalised world, at two resolutions, composited when they are
+//! decoded.
 
 mod cache;
 mod gain;
@@ -20,10 +21,11 @@ pub use gain::Gain;
 #[cfg(test)]
 pub use gain::divide;
 
-/// Background of masked photographs: what relighting benchmarks composite over.
+/// Background of masked photographs, as in relighting benchmarks.
 pub const WHITE: [f32; 3] = [1.0; 3];
 
-/// Bytes of decoded photographs that are kept, if that is enough for the largest one and the next.
+/// Least size of the cache of decoded photographs, bytes. The cache always has room for two photographs of the
+/// largest size.
 const CACHE_BYTES: usize = 512 << 20;
 
 /// All training photographs.
@@ -33,11 +35,11 @@ pub struct Dataset {
     cache: PhotoCache,
     /// Capture to normalised world: `x' = scale * (x + offset)`.
     pub scale: f64,
-    /// See `scale`.
+    /// Offset of the transform in `scale`.
     pub offset: glam::DVec3,
-    /// Background the photographs are composited over.
+    /// Background over which the photographs are composited.
     pub background: [f32; 3],
-    /// Turns of the photographs' light.
+    /// Rotations of the photographs' light.
     pub rotations: LightRotations,
     /// True when the photographs have masks.
     pub has_alpha: bool,
@@ -46,12 +48,13 @@ pub struct Dataset {
 }
 
 impl Dataset {
-    /// Prepares the training views as `config` asks for them. Those that have its resolution share their pixels with `capture`.
+    /// Prepares the training views as `config` specifies. Those that already have its resolution share their pixels
+    /// with `capture`.
     pub fn new(capture: &Capture, config: &TrainConfig) -> Self {
         let scale = 1.0 / capture.bounds.radius.max(1e-12);
         let offset = -capture.bounds.centre;
         let has_alpha = capture.has_alpha;
-        // Without a mask nothing shows through.
+        // Photographs without masks have no visible background.
         let background = if has_alpha { WHITE } else { [0.0; 3] };
         let degrees = |view: &CaptureView| if config.light_rotations { view.light_rotation_deg } else { 0.0 };
         let (rotations, lights) = LightRotations::of(&capture.train.iter().map(degrees).collect::<Vec<_>>());
@@ -69,7 +72,7 @@ impl Dataset {
         Self { photos, cache, scale, offset, background, rotations, has_alpha, names }
     }
 
-    /// Opaque photographs whose pixels a test has made, at 16 bits.
+    /// Opaque photographs with the pixels of a test, at 16 bits.
     #[cfg(test)]
     pub fn of_photos(photos: &[Photo]) -> Self {
         use relume_scene::{BitDepth, ImageRgba, PackedImage};
@@ -94,7 +97,7 @@ impl Dataset {
         }
     }
 
-    /// Bounds what is kept decoded, bytes.
+    /// Sets the bound of the cache of decoded photographs, bytes.
     pub fn bound(&mut self, bytes: usize) {
         self.cache = PhotoCache::new(bytes);
     }
@@ -110,8 +113,8 @@ impl Dataset {
         self.cache.clear();
     }
 
-    /// Makes the photographs those of a subject before white. `mask` has the share of each of the camera's pixels that the
-    /// subject covers; `scale` and `offset` bring cameras to the subject's world.
+    /// Restricts the photographs to a subject on white. `mask` returns the share of each pixel of a camera that the
+    /// subject covers; `scale` and `offset` transform the cameras to the world of the subject.
     pub fn cut_out(&mut self, (scale, offset): (f64, glam::DVec3), mask: impl Fn(&Camera) -> Vec<f32>) {
         (self.has_alpha, self.background) = (true, WHITE);
         for photo in &mut self.photos {
@@ -124,7 +127,7 @@ impl Dataset {
         self.cache.clear();
     }
 
-    /// Photograph `index` at `size`, for a step.
+    /// Photograph `index` at `size`, for a training step.
     pub fn photo(&self, index: usize, size: PhotoSize) -> Arc<Photo> {
         self.cache.get((index, size), &self.photos[index])
     }
@@ -134,17 +137,17 @@ impl Dataset {
         self.photos[index].without_pixels(size)
     }
 
-    /// Has the photographs that the next steps need decoded meanwhile.
+    /// Starts to decode the photographs that the next steps need.
     pub fn prefetch(&self, next: impl Iterator<Item = (usize, PhotoSize)>) {
         self.cache.prefetch(next.map(|key| (key, self.photos[key.0].clone())));
     }
 
-    /// Photograph `index` at `size`, for a look: it is not kept.
+    /// Photograph `index` at `size`, for occasional use: it is not added to the cache.
     pub fn decode_uncached(&self, index: usize, size: PhotoSize) -> Arc<Photo> {
         self.cache.peek((index, size)).unwrap_or_else(|| Arc::new(self.photos[index].decoded(size)))
     }
 
-    /// Shows `act` all photographs at `size`, in order. As many as there are threads are decoded at a time.
+    /// Calls `act` with all photographs at `size`, in order. As many as there are threads are decoded at a time.
     pub fn for_each_photo(&self, size: PhotoSize, mut act: impl FnMut(usize, &Photo)) {
         let at_once = rayon::current_num_threads().max(1);
         for first in (0..self.len()).step_by(at_once) {
@@ -175,23 +178,23 @@ impl Dataset {
         self.photos.iter().map(|photo| photo.image.len()).max().unwrap_or(0)
     }
 
-    /// Bytes of memory that the photographs take while they are not decoded, with those that a capture shares.
+    /// Bytes of memory of the stored photographs, including pixels that a capture shares.
     pub fn bytes(&self) -> usize {
         self.photos.iter().map(|photo| photo.bytes()).sum()
     }
 
-    /// What was decoded for steps, and how long they waited for it.
+    /// Statistics of the decoding for training steps.
     pub fn decoding(&self) -> DecodingStats {
         self.cache.stats()
     }
 }
 
-/// Bytes of decoded photographs that are kept of photographs that take `decoded` bytes each.
+/// Size of the cache for photographs that take `decoded` bytes each, bytes.
 pub fn cache_bytes(decoded: impl Iterator<Item = usize>) -> usize {
     decoded.max().unwrap_or(0).saturating_mul(2).max(CACHE_BYTES)
 }
 
-/// Size of a view whose longest side is `resolution` over `divisor` pixels; it is never enlarged.
+/// Size of a view whose longest side is reduced to `resolution` over `divisor` pixels; never enlarged.
 fn reduced_size(view: &CaptureView, resolution: u32, divisor: u32) -> (u32, u32) {
     let longest = view.image.width.max(view.image.height);
     let target = (resolution.min(longest) / divisor).max(1);

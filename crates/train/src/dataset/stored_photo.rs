@@ -1,4 +1,4 @@
-//! One training photograph as it stays in memory, and what a step is given of it.
+//! A training photograph as it is stored in memory, and its decoding for a step.
 
 use std::sync::Arc;
 
@@ -6,26 +6,27 @@ use crate::dataset::gain::{Gain, divide};
 use relume_engine::{LightRotation, Photo, PhotoSize};
 use relume_scene::{Camera, ImageRgba, PackedImage};
 
-/// A photograph at the configured resolution: its integers, and all that is done to them when it is decoded.
+/// A photograph at the configured resolution: its integer pixels, and the operations that are applied when it is
+/// decoded.
 #[derive(Debug, Clone)]
 pub struct StoredPhoto {
-    /// The photograph.
+    /// The pixels.
     pub image: PackedImage,
     /// Cameras at half and at the full configured resolution, normalised world.
     pub cameras: [Camera; 2],
-    /// How the light stood in it.
+    /// Rotation of the light.
     pub light: LightRotation,
-    /// Mask of a subject that was cut out, levels of 1/255, row-major; in place of the image's own alpha.
+    /// Mask of a cropped subject, levels of 1/255, row-major; it replaces the image's own alpha.
     pub mask: Option<Arc<[u8]>>,
-    /// Gains it is divided by, in order.
+    /// Gains by which the photograph is divided, in order.
     pub gains: Vec<Gain>,
-    /// What its transparent pixels show, display-referred.
+    /// Background behind transparent pixels, display-referred.
     pub background: [f32; 3],
-    /// Whether steps are given the alpha.
+    /// Whether decoded photographs include alpha.
     pub has_alpha: bool,
 }
 
-/// Bytes a pixel of a decoded photograph: three floats, and a fourth for a mask.
+/// Bytes per pixel of a decoded photograph: three floats, and a fourth for a mask.
 const DECODED_PIXEL: [usize; 2] = [12, 16];
 
 impl StoredPhoto {
@@ -37,12 +38,12 @@ impl StoredPhoto {
         }
     }
 
-    /// Bytes of memory that it takes, without those of its image where others share that.
+    /// Bytes of memory of the stored photograph, including pixels that a capture shares.
     pub fn bytes(&self) -> usize {
         self.image.bytes() + self.mask.as_ref().map_or(0, |mask| mask.len())
     }
 
-    /// Bytes of memory that it takes decoded at `size`.
+    /// Bytes of memory of the photograph decoded at `size`.
     pub fn decoded_bytes(&self, size: PhotoSize) -> usize {
         let camera = self.camera(size);
         camera.width as usize * camera.height as usize * DECODED_PIXEL[usize::from(self.has_alpha)]
@@ -53,7 +54,7 @@ impl StoredPhoto {
         Photo { camera: *self.camera(size), pixels: Vec::new(), alpha: Vec::new(), light: self.light }
     }
 
-    /// The photograph as a step is given it at `size`.
+    /// The decoded photograph at `size`, for a step.
     pub fn decoded(&self, size: PhotoSize) -> Photo {
         let camera = *self.camera(size);
         let stored = (self.image.width, self.image.height);
@@ -76,7 +77,7 @@ impl StoredPhoto {
         [r, g, b, alpha]
     }
 
-    /// Colours over the background, and the mask where there is one.
+    /// Colours over the background, and the mask if there is one.
     fn composited(&self, pixels: impl ExactSizeIterator<Item = [f32; 4]>) -> (Vec<[f32; 3]>, Vec<f32>) {
         let mut alpha = Vec::with_capacity(if self.has_alpha { pixels.len() } else { 0 });
         let over = |p: [f32; 4]| {
@@ -97,7 +98,7 @@ mod tests {
     use super::*;
     use relume_scene::BitDepth;
 
-    /// 8 x 6 pixels of levels of 8 bits, half transparent on the left if asked for.
+    /// 8 x 6 pixels of 8-bit levels, with transparency on the left half if `transparent`.
     fn image(transparent: bool) -> ImageRgba {
         let level = |n: u32| (n * 37 % 256) as f32 / 255.0;
         let alpha = |i: u32| if transparent && i % 8 < 4 { level(3 + i) } else { 1.0 };

@@ -10,7 +10,7 @@ const SIDE: u32 = 24;
 /// Bytes of a decoded photograph with a mask.
 const FULL: usize = (SIDE * SIDE) as usize * 16;
 
-/// Photographs as files of 8 bits have them.
+/// Photographs as from 8-bit files.
 fn capture(has_alpha: bool) -> Capture {
     let options =
         SyntheticOptions { train_views: VIEWS, test_views: 1, size: SIDE, paths: 4, ..Default::default() };
@@ -44,7 +44,7 @@ fn dataset_shares_pixels_and_uses_at_most_four_bytes_per_pixel() {
     }
     let mut cut = dataset(&capture(false), SIDE);
     cut.cut_out((1.0, glam::DVec3::ZERO), |camera| vec![0.5; (camera.width * camera.height) as usize]);
-    assert_eq!(cut.bytes(), VIEWS * (SIDE * SIDE) as usize * 4, "a mask that was made takes one");
+    assert_eq!(cut.bytes(), VIEWS * (SIDE * SIDE) as usize * 4, "a computed mask takes one byte per pixel");
 }
 
 #[test]
@@ -81,7 +81,8 @@ fn reduced_photograph_is_accurate_to_half_a_level() {
     assert!(control.is_finite() && control > 0.1, "the control, another photograph: {control}");
 }
 
-/// Asks for photographs in this order, with what comes next expected, and says what was decoded; no entry may be beyond the bound.
+/// Requests photographs in this order, with prefetch of the next ones. Checks that the cache stays within `bound`;
+/// returns the statistics.
 fn asked(order: &[usize], bound: usize) -> DecodingStats {
     let mut data = dataset(&capture(true), SIDE);
     data.bound(bound);
@@ -105,7 +106,7 @@ fn cache_decodes_once_if_all_fits_and_respects_its_limit() {
         let stats = asked(&order, bound);
         assert!(stats.decoded >= VIEWS as u64, "{bound}: {stats:?}");
     }
-    assert_eq!(asked(&order, 0).waits, 14, "nothing is kept, so that each is waited for");
+    assert_eq!(asked(&order, 0).waits, 14, "nothing is cached, so each request waits");
 }
 
 #[test]
@@ -126,7 +127,7 @@ fn prefetched_photograph_is_decoded_before_it_is_requested() {
     let start = std::time::Instant::now();
     data.prefetch([(3, PhotoSize::Half)].into_iter());
     while data.cache.peek((3, PhotoSize::Half)).is_none() {
-        assert!(start.elapsed().as_secs() < 60, "nobody decodes it");
+        assert!(start.elapsed().as_secs() < 60, "it is not decoded");
         std::thread::yield_now();
     }
     data.photo(3, PhotoSize::Half);

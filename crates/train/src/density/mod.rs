@@ -1,8 +1,8 @@
 //! Density control: plans where Gaussians are added and dropped, up to a budget.
 //!
-//! The signal is that of AbsGS: the magnitude of the gradient by the projected mean, summed pixel by pixel. The budget goes
-//! to the Gaussians of largest signal. Each of them splits in two along its longest axis: one rule and no random draw, and
-//! the rendered image hardly changes.
+//! The signal is that of AbsGS: the magnitude of the gradient by the projected mean, summed pixel by pixel. The
+//! budget goes to the Gaussians with the largest signal. Each of them splits in two along its longest axis. There is
+//! one rule without random draws, and the rendered image hardly changes.
 
 mod order;
 
@@ -15,16 +15,18 @@ const SPLIT_ABSGRAD: f32 = 4e-4;
 const MIN_OPACITY: f32 = 0.008;
 /// Standard deviation above which a Gaussian is dropped, scene radii.
 const MAX_SCALE: f32 = 0.5;
-/// Without masks, distance to a camera below which a Gaussian is dropped, scene radii.
+/// Distance to a camera below which a Gaussian is dropped in captures without masks, scene radii.
 const CAMERA_CLEARANCE: f32 = 0.2;
-/// Most growth of one round, as a share.
+/// Largest growth of one round, as a share of the Gaussians.
 const MAX_GROWTH: f32 = 0.25;
 
-/// Drops Gaussians of little opacity or excessive size, and splits those of largest absgrad while the budget lasts. The next
-/// generation is in the order of [`order`]; where `signals` have no means, in that of the sources, second halves last.
+/// Drops Gaussians of low opacity or excessive size, and splits those with the largest absgrad while the budget
+/// lasts. The new Gaussians have the order of [`order`]; if `signals` has no means, they have the order of their
+/// sources, with second halves last.
 ///
-/// `camera_centres` (normalised world): of a scene without masks. Such a scene keeps its large background Gaussians, and
-/// drops those close in front of a camera, where no other view can correct them; `signals` must have the means then.
+/// `camera_centres` (normalised world) are given for scenes without masks. Such a scene keeps its large background
+/// Gaussians, and drops those close in front of a camera, which no other view can correct; `signals` must then have
+/// the means.
 pub fn plan(signals: &DensitySignals, budget: usize, camera_centres: Option<&[[f32; 3]]>) -> DensityPlan {
     let n = signals.opacity_logits.len();
     let stats = &signals.stats;
@@ -45,7 +47,7 @@ pub fn plan(signals: &DensitySignals, budget: usize, camera_centres: Option<&[[f
     let halves = kept.iter().filter(|i| is_split[**i]).map(second);
     let mut gaussians: Vec<PlannedGaussian> = kept.iter().map(first).chain(halves).collect();
     let codes = order::morton_codes(&signals.means);
-    // Stable: halves of a Gaussian keep their order.
+    // The sort is stable, so the halves of a Gaussian keep their order.
     gaussians.sort_by_key(|planned| codes.get(planned.source as usize).copied());
     DensityPlan { gaussians }
 }

@@ -1,10 +1,10 @@
-//! The order of Gaussians in memory: along a Morton curve through their centres, so that what a tile of a picture reads lies
-//! together.
+//! The order of Gaussians in memory: along a Morton curve through their centres, so that Gaussians of the same image
+//! tile are close in memory.
 
-/// Bits of a coordinate.
+/// Bits per coordinate.
 const BITS: u32 = 10;
 
-/// Places of points on the curve through the box around them; points that are not finite come first.
+/// Positions of points on the curve through their bounding box. Non-finite points do not affect the box.
 pub(super) fn morton_codes(points: &[[f32; 3]]) -> Vec<u32> {
     let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for point in points.iter().filter(|point| point.iter().all(|x| x.is_finite())) {
@@ -15,13 +15,13 @@ pub(super) fn morton_codes(points: &[[f32; 3]]) -> Vec<u32> {
     let cells = (1 << BITS) as f32;
     let cell = |point: &[f32; 3], k: usize| {
         let share = (point[k] - low[k]) / (high[k] - low[k]).max(f32::MIN_POSITIVE);
-        // The cast takes NaN to 0.
+        // The cast converts NaN to 0.
         (share * cells).clamp(0.0, cells - 1.0) as u32
     };
     points.iter().map(|point| (0..3).map(|k| spread(cell(point, k)) << k).sum()).collect()
 }
 
-/// The lowest ten bits, each three apart from the next.
+/// Spreads the lowest ten bits to every third bit.
 fn spread(x: u32) -> u32 {
     (0..BITS).map(|bit| (x >> bit & 1) << (3 * bit)).sum()
 }

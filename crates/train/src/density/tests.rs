@@ -5,7 +5,7 @@ use relume_scene::light::{EnvOperators, TableResolution};
 use relume_scene::{Field, Gaussians, Model};
 use std::sync::Arc;
 
-/// `n` small opaque Gaussians a unit apart along x, of which those of `wanted` have a large absgrad.
+/// `n` small opaque Gaussians one unit apart along x; those in `wanted` have a large absgrad.
 fn row(n: usize, wanted: &[usize]) -> (Gaussians, DensityStats) {
     let mut g = Gaussians::zeroed(n, 1, 0, 0);
     let mut stats = DensityStats::zeroed(n);
@@ -38,7 +38,7 @@ fn state(gaussians: Gaussians, density: DensityStats) -> TrainState {
     TrainState { density, ..TrainState::new(model) }
 }
 
-/// A training of that state on the CPU engine.
+/// A training of this state on the CPU engine.
 fn training(state: TrainState) -> Box<dyn relume_engine::TrainingEngine> {
     let operators = Arc::new(EnvOperators::new(4, 2, 0, TableResolution::TRAINING));
     let limits = TrainingLimits { resolution: 1, pixels: 1, max_gaussians: 16, probe_directions: 8 };
@@ -71,7 +71,7 @@ fn largest_absgrads_split_within_the_budget() {
 #[test]
 fn new_gaussians_are_sorted_along_the_morton_curve() {
     let (mut g, stats) = row(4, &[1]);
-    // From right to left.
+    // Reversed along x.
     (0..4).for_each(|i| g.row_mut(Field::Mean, i)[0] = -(i as f32));
     let expected = [(3, Keep), (2, Keep), (1, UpperHalf), (1, LowerHalf), (0, Keep)];
     assert_eq!(planned(&g, &stats, 10, None), expected);
@@ -92,7 +92,11 @@ fn transparent_huge_and_near_camera_gaussians_are_dropped() {
     g.row_mut(Field::LogScale, 1)[2] = 0.0;
     assert_eq!(planned(&g, &stats, 10, None), [(2, Keep)]);
     let at_camera = planned(&g, &stats, 10, Some(&[[2.1, 0.0, 0.0]]));
-    assert_eq!(at_camera, [(1, Keep)], "without masks the huge one stays and the one at the camera goes");
+    assert_eq!(
+        at_camera,
+        [(1, Keep)],
+        "without masks the huge one is kept and the one at the camera is dropped"
+    );
 }
 
 #[test]

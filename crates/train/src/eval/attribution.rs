@@ -1,4 +1,4 @@
-//! What each layer of a recovered model costs its relit pictures: the error that remains when ground truth replaces the
+//! Attributes the error of relit images to the layers of a model: the error that remains when ground truth replaces a
 //! layer comes from the other layers.
 
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use relume_engine::cpu::{Surface, SurfaceShader};
 use relume_scene::Model;
 use relume_spec::rendering::Output;
 
-/// What ground truth can replace in a model's picture.
+/// A layer that ground truth can replace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TruthLayer {
     /// Linear base colour.
@@ -22,20 +22,20 @@ pub enum TruthLayer {
     Normal,
     /// Metalness and roughness.
     Material,
-    /// Visibility, scaled until its ambient occlusion is the truth's; radiance gathered from blocked directions is scaled
-    /// likewise.
+    /// Visibility, scaled so that its ambient occlusion is that of the ground truth; gathered radiance from blocked
+    /// directions is scaled accordingly.
     Occlusion,
     /// Silhouette: the alpha channel.
     Alpha,
 }
 
-/// Relit PSNR of `model` in dB, mean over `capture`'s lights of the mean over its views (at most `views`), for each set
-/// of layers in `replacements`; layers without truth stay the model's. `None` without relit truth. Surfaces are always
-/// shaded in the pixel, where the truth is known. A model that is shaded at its Gaussians therefore has another PSNR here
-/// than in [`crate::eval::evaluate`], even with nothing replaced.
+/// Relit PSNR of `model` in dB for each set of layers in `replacements`: mean over `capture`'s lights of the mean
+/// over its views (at most `views`). Layers without ground truth stay those of the model. `None` without relit ground
+/// truth. Surfaces are always shaded per pixel, because the ground truth is known per pixel. A model that is shaded
+/// at its Gaussians therefore has another PSNR here than in [`crate::eval::evaluate`], even without replacements.
 ///
 /// # Errors
-/// Names the view and layer whose size is not its camera's, or is the renderer's.
+/// Names the view and layer whose size differs from that of its camera; otherwise the renderer's error.
 pub fn attribute(
     model: &Arc<Model>,
     capture: &Capture,
@@ -104,7 +104,7 @@ fn put_truth(
     }
 }
 
-/// Gives the frame the photograph's alpha channel; colours are premultiplied.
+/// Replaces the frame's alpha channel by that of the photograph; colours are premultiplied.
 fn set_alpha(frame: &mut Frame, view: &CaptureView) {
     let found = frame.planes.get(&Output::Alpha).cloned().unwrap_or_default();
     let wanted: Vec<f32> = view.image.alpha();

@@ -13,11 +13,11 @@ use relume_scene::srgb;
 use relume_scene::{Model, Plane};
 use relume_spec::rendering::Quality;
 
-/// Draws a sheet of `rows` test views, evenly spaced: photograph, both branches, each light beside its truth,
-/// albedo, normal, roughness and ambient occlusion beside theirs, and the error of the novel view.
+/// Draws a sheet of `rows` test views, evenly spaced: photograph, both branches, each light next to its ground truth,
+/// albedo, normal, roughness and ambient occlusion next to theirs, and the error of the novel view.
 ///
 /// # Errors
-/// [`EvalError`] when there is no test view or one cannot be rendered.
+/// [`EvalError`] if there are no test views or one cannot be rendered.
 pub fn contact_sheet(
     model: Arc<Model>,
     capture: &Capture,
@@ -84,8 +84,8 @@ fn layer_cells(model: &Model, layers: &ViewLayers, view: &CaptureView) -> [Optio
     ]
 }
 
-/// A view's true albedo (sRGB curve), normal (`n / 2 + 1 / 2`), roughness and ambient occlusion, on white, as
-/// far as the view knows them.
+/// A view's ground-truth albedo (sRGB curve), normal (`n / 2 + 1 / 2`), roughness and ambient occlusion, on white;
+/// `None` for layers that the view lacks.
 pub fn truth_layers(view: &CaptureView) -> [Option<DisplayImage>; 4] {
     let (width, height, alpha) = (view.image.width, view.image.height, view.image.alpha());
     let truth = &view.truth;

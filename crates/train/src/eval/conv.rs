@@ -1,11 +1,11 @@
-//! The layers of a neural network that LPIPS needs, on the CPU: convolution with ReLU, and max pooling.
+//! The neural network layers that LPIPS needs, on the CPU: convolution with ReLU, and max pooling.
 //!
-//! A convolution is a matrix product `weights x patches`. Patches are laid out for a strip of output pixels at
-//! a time, so the strip stays in cache while every group of output channels passes over it.
+//! A convolution is a matrix product `weights x patches`. Patches are laid out for one strip of output pixels at a
+//! time, so the strip stays in cache while it is multiplied with every group of output channels.
 
 use rayon::prelude::*;
 
-/// Output channels and output pixels the inner product keeps in registers.
+/// Output channels and output pixels that the inner product keeps in registers.
 const CHANNELS: usize = 4;
 const PIXELS: usize = 16;
 /// Panels of [`PIXELS`] that share one pass over the weights.
@@ -164,7 +164,7 @@ mod tests {
         FeatureMaps { channels, height, width, values }
     }
 
-    /// The definition, with no blocking.
+    /// The definition, without blocking.
     fn plainly(
         input: &FeatureMaps,
         weights: &[f32],
@@ -194,7 +194,7 @@ mod tests {
 
     #[test]
     fn blocked_convolution_equals_the_direct_convolution() {
-        // Neither channels nor pixels fill whole blocks, on purpose.
+        // Neither channels nor pixels fill whole blocks.
         let input = ramp(3, 13, 11);
         for (k, stride, pad) in [(3, 1, 1), (5, 2, 2), (3, 4, 0)] {
             let weights: Vec<f32> = (0..7 * 3 * k * k).map(|i| ((i * 13) % 11) as f32 - 5.0).collect();
@@ -202,7 +202,7 @@ mod tests {
             let fast = Conv::new(&weights, &bias, k, (stride, pad)).apply(&input);
             let slow = plainly(&input, &weights, &bias, k, stride, pad);
             assert_eq!(fast.values, slow, "kernel {k} stride {stride} padding {pad}");
-            // Negative control: another padding is another convolution.
+            // The control: another padding gives another result.
             assert_ne!(Conv::new(&weights, &bias, k, (stride, pad + 1)).apply(&input).values, slow);
         }
     }

@@ -1,4 +1,4 @@
-//! The evaluation of a model against a capture's held-out views and whatever ground truth they carry.
+//! Evaluates a model against a capture's held-out views and their ground truth.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -19,24 +19,24 @@ use relume_engine::DeviceError;
 use relume_scene::{ImageRgba, Model, Plane};
 use relume_spec::rendering::{Output, Quality, Tier};
 
-/// How to evaluate.
+/// Options of [`evaluate`].
 pub struct EvalOptions<'a> {
-    /// LPIPS with its weights; without it the LPIPS figures are null and the report says so.
+    /// LPIPS with its weights. Without it the LPIPS values are null and the report says so.
     pub lpips: Option<&'a Lpips>,
-    /// Compare only this many test views, evenly spaced; all when `None`.
+    /// Number of test views to compare, evenly spaced; `None` for all.
     pub views: Option<usize>,
-    /// The tier whose pictures are compared.
+    /// The tier of the compared images.
     pub quality: Quality,
-    /// Least wall-clock time to spend on the frame rate of each tier; zero leaves frame rates out.
+    /// Least wall-clock time to measure the frame rate of each tier; zero skips the measurement.
     pub frame_rate_time: Duration,
-    /// Where to render.
+    /// Device that renders.
     pub device: &'a Device,
-    /// Called after each rendered view with the number of views done and their total.
+    /// Called after each rendered view with the number of completed views and the total.
     pub progress: &'a dyn Fn(usize, usize),
 }
 
 impl EvalOptions<'_> {
-    /// The tier where none is asked for: shadows of strong small lights are as sharp as those of the photographs.
+    /// The default tier: its shadows of strong small lights are as sharp as those in photographs.
     pub const TIER: Tier = Tier::High;
 }
 
@@ -53,14 +53,14 @@ impl Default for EvalOptions<'_> {
     }
 }
 
-/// Why an evaluation failed.
+/// Errors of an evaluation.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum EvalError {
     /// The capture has no test views.
     #[error("the capture has no held-out views to evaluate on")]
     NoTestViews,
-    /// An image or layer of a view is not of its camera's size.
-    #[error("view {view}: {layer} is {found}, its camera {expected} pixels")]
+    /// An image or layer of a view has another size than its camera.
+    #[error("view {view}: {layer} is {found}, but its camera has {expected} pixels")]
     Size {
         /// The view.
         view: String,
@@ -85,11 +85,11 @@ pub enum EvalError {
 }
 
 /// Compares a model with a capture: novel views (both branches), relit views of each light, material and geometry
-/// layers. Pictures have the size of the capture's views and a white background.
+/// layers. The images have the size of the capture's views and a white background.
 ///
 /// # Errors
-/// [`EvalError`] names the view and layer that cannot be compared. A missing *kind* of truth is no error: its
-/// figures are null and [`Report::notes`] says why.
+/// [`EvalError`] names the view and layer that cannot be compared. A missing *kind* of ground truth is not an error:
+/// its values are null and [`Report::notes`] states the reason.
 pub fn evaluate(
     model: Arc<Model>,
     capture: &Capture,
@@ -105,12 +105,12 @@ pub fn evaluate(
     run.evaluate(model)
 }
 
-/// One evaluation: what is compared and how.
+/// The state of one evaluation.
 struct Evaluation<'a> {
     capture: &'a Capture,
     options: &'a EvalOptions<'a>,
     views: Vec<&'a CaptureView>,
-    /// Lights with both truth and a map.
+    /// Lights with both relit ground truth and a map.
     lights: Vec<&'a str>,
     done: std::cell::Cell<usize>,
 }
@@ -148,7 +148,7 @@ impl Evaluation<'_> {
         Ok(report)
     }
 
-    /// Novel views and layers under the light the model recovered, turned as it stood in each photograph.
+    /// Compares novel views and layers under the recovered light, rotated as in each photograph.
     fn under_recovered_light(&self, renderer: &Renderer, report: &mut Report) -> Result<(), EvalError> {
         let mut own = RecoveredLight::default();
         let (mut shaded, mut radiance) = (ImageTotals::default(), ImageTotals::default());
@@ -175,7 +175,7 @@ impl Evaluation<'_> {
         Ok(())
     }
 
-    /// Albedo after alignment: the aligned model's own albedo, so nothing is scaled twice.
+    /// Compares albedo after alignment: that of the aligned model, so the scale is applied only once.
     fn aligned_albedo(&self, aligned: &Renderer, report: &mut Report) -> Result<(), EvalError> {
         let light = aligned.prepare_light(aligned.model().recovered_light())?;
         let (mut whole, mut foreground) = (Mean::default(), Mean::default());
@@ -196,7 +196,7 @@ impl Evaluation<'_> {
         Ok(())
     }
 
-    /// Relit pictures against their truth, light by light.
+    /// Compares relit images with their ground truth, for each light.
     fn relit(&self, renderer: &Renderer) -> Result<RelitScores, EvalError> {
         let mut scores = RelitScores::default();
         for &name in &self.lights {
@@ -221,7 +221,7 @@ impl Evaluation<'_> {
         Ok(scores)
     }
 
-    /// Relit frames a second of every tier, over the test cameras in turn, after one frame to warm up.
+    /// Measures relit frames per second of every tier over the test cameras in turn, after one frame to warm up.
     fn frame_rates(&self, renderer: &Renderer, report: &mut Report) -> Result<(), EvalError> {
         if self.options.frame_rate_time.is_zero() {
             return Ok(());
@@ -246,7 +246,7 @@ impl Evaluation<'_> {
         Ok(())
     }
 
-    /// Counts one view rendering; the total assumes that albedo can be aligned when any view knows it.
+    /// Reports one rendered view. The total assumes that albedo can be aligned if any view has its ground truth.
     fn step(&self) {
         let albedo = usize::from(self.views.iter().any(|v| v.truth.albedo.is_some()));
         let passes = 1 + albedo + self.lights.len() * (1 + albedo);
@@ -267,19 +267,21 @@ impl Evaluation<'_> {
         format!(
             "{} of {} held-out views at {sizes} px, tier {tier}; whole image on white, \
              srgb(clamp(rgb/alpha,0,1))*alpha+1-alpha against the stored sRGB pixels, 32-bit predictions, no \
-             ground-truth mask, no scaling of pictures; every figure per image, then averaged (relit.mean over \
-             lights); exposure matched: times one gain per channel and picture, least squares in linear light; PSNR peak 1; SSIM 11x11 Gaussian window, sigma 1.5, valid region, per channel (TensoIR); \
-             LPIPS v0.1 AlexNet; relit uses the recovered albedo as it is, relit_aligned multiplies prototypes and \
-             residuals (the renderer holds albedo at 1) by albedo.scale = per-channel median of truth/prediction (prediction >= 1e-6) over all \
-             compared views where ground-truth alpha > 0.5; albedo compared linear, on white over the whole image \
-             and apart over the foreground; normal foreground where ground-truth alpha > 0.5, all_pixels as TensoIR \
-             with both sides blended with (0,0,1) by alpha; AO, roughness, metalness, depth MAE over the foreground (depth where both know one)",
+             ground-truth mask, no scaling of images; every value is computed per image, then averaged (relit.mean over \
+             lights); exposure matched: one gain per channel and image, least squares in linear light; \
+             PSNR peak 1; SSIM 11x11 Gaussian window, sigma 1.5, valid region, per channel (TensoIR); \
+             LPIPS v0.1 AlexNet; relit uses the recovered albedo unchanged, relit_aligned multiplies prototypes and \
+             residuals (the renderer clamps albedo to 1) by albedo.scale = per-channel median of truth/prediction \
+             (prediction >= 1e-6) over all compared views where ground-truth alpha > 0.5; albedo is compared in linear \
+             light, on white over the whole image and separately over the foreground; normal foreground where ground-truth \
+             alpha > 0.5, all_pixels as TensoIR with both sides blended with (0,0,1) by alpha; AO, roughness, metalness \
+             and depth MAE over the foreground (depth where both have a value)",
             self.views.len(),
             self.capture.test.len(),
         )
     }
 
-    /// Writes a note on each figure that is null.
+    /// Adds a note for each value that is null.
     fn explain_absences(&self, report: &mut Report) {
         let mut notes = std::mem::take(&mut report.notes);
         let mut note = |absent: bool, key: &str, reason: &str| {
@@ -289,7 +291,7 @@ impl Evaluation<'_> {
         };
         let lpips = match self.options.lpips {
             None => "no LPIPS weights were given",
-            Some(_) => "the views are smaller than 31 pixels a side",
+            Some(_) => "the views are smaller than 31 pixels per side",
         };
         for (group, scores) in [
             ("novel_view", &report.novel_view),
@@ -304,12 +306,12 @@ impl Evaluation<'_> {
             note(
                 !none && scores.ssim.is_none(),
                 &format!("{group}.ssim"),
-                "the views are below 11 pixels a side",
+                "the views are smaller than 11 pixels per side",
             );
             note(!none && scores.lpips.is_none(), &format!("{group}.lpips"), lpips);
         }
         let unaligned = report.albedo.scale.is_none() && report.relit.mean.psnr.is_some();
-        note(unaligned, "relit_aligned.mean", "needs ground-truth albedo");
+        note(unaligned, "relit_aligned.mean", "requires ground-truth albedo");
         let absent = "the capture has no such ground-truth layer, or no foreground in it";
         note(report.albedo.psnr_raw.is_none(), "albedo", absent);
         note(report.normal_mae_deg.foreground.is_none(), "normal_mae_deg", absent);
@@ -317,17 +319,17 @@ impl Evaluation<'_> {
         note(report.roughness_mae.is_none(), "roughness_mae", absent);
         note(report.metallic_mae.is_none(), "metallic_mae", absent);
         note(report.depth_mae.is_none(), "depth_mae", absent);
-        note(report.training_seconds.is_none(), "training_seconds", "the model card has none");
-        note(report.render_fps.is_empty(), "render_fps", "was not asked for");
+        note(report.training_seconds.is_none(), "training_seconds", "the model card does not state it");
+        note(report.render_fps.is_empty(), "render_fps", "was not requested");
         for name in self.views.iter().flat_map(|v| v.truth.relit.keys()) {
             let unknown = !self.capture.lights.contains_key(name);
-            note(unknown, &format!("relit.{name}"), "the capture brings no map for this light");
+            note(unknown, &format!("relit.{name}"), "the capture contains no map of this light");
         }
         report.notes = notes;
     }
 }
 
-/// Takes back what was measured on materials that were never trained.
+/// Removes the scores of materials, which the model never trained.
 fn clear_material_scores(report: &mut Report) {
     report.novel_view = ImageScores::default();
     report.novel_view_matched = ImageScores::default();
@@ -346,12 +348,12 @@ fn explain_no_materials(report: &mut Report) {
         "roughness_mae",
         "metallic_mae",
     ];
-    let reason = "the model was trained for colour alone and has no materials";
+    let reason = "the model was trained for colour only and has no materials";
     report.notes.extend(figures.map(|figure| (figure.to_owned(), reason.to_owned())));
 }
 
 fn explain_crop(report: &mut Report) {
-    let reason = "of the cropped subject: photographs are compared where the model covers them";
+    let reason = "compared only where the cropped model covers the photographs";
     let figures = ["novel_view", "novel_view_radiance", "novel_view_matched", "novel_view_radiance_matched"];
     report.notes.extend(figures.map(|figure| (figure.to_owned(), reason.to_owned())));
 }
@@ -360,19 +362,19 @@ pub(crate) fn refused(view: &CaptureView, source: RenderError) -> EvalError {
     EvalError::Render { view: view.name.clone(), source }
 }
 
-/// `count` of the views, evenly spaced over the list; all of them when there are no more.
+/// `count` of the views, evenly spaced over the list; all of them if there are no more.
 pub fn evenly_spaced(views: &[CaptureView], count: Option<usize>) -> Vec<&CaptureView> {
     let count = count.unwrap_or(views.len()).min(views.len());
     (0..count).map(|i| &views[i * views.len() / count]).collect()
 }
 
-/// Names of the lights that some view has truth for and the capture a map.
+/// Names of the lights with relit ground truth in some view and a map in the capture.
 pub fn lights_of<'a>(views: &[&'a CaptureView], capture: &Capture) -> Vec<&'a str> {
     let named: BTreeSet<&str> = views.iter().flat_map(|v| v.truth.relit.keys()).map(String::as_str).collect();
     named.into_iter().filter(|name| capture.lights.contains_key(*name)).collect()
 }
 
-/// Every image and layer must be of the camera's size, or pixels would be compared with other pixels.
+/// Checks that every image and layer has the size of the camera, so that corresponding pixels are compared.
 pub(crate) fn check_sizes(view: &CaptureView) -> Result<(), EvalError> {
     let camera = (view.camera.width, view.camera.height);
     let check = |layer: &str, size: (u32, u32), count: usize| {

@@ -1,11 +1,12 @@
-//! Pictures at the exposure and white balance of a photograph, so that what its camera chose is not held against a model.
+//! Matches images to the exposure and white balance of a photograph, so that automatic camera settings do not lower a
+//! model's scores.
 
 use crate::eval::image::DisplayImage;
 use relume_scene::Plane;
 use relume_scene::srgb;
 
-/// `predicted`, which lies on white by its `alpha`, times one linear gain per channel: the one that brings it nearest to `truth`
-/// in linear light.
+/// `predicted`, which is composited on white by `alpha`, multiplied by one linear gain per channel: the gain that
+/// minimises the squared difference from `truth` in linear light.
 pub(crate) fn matched(predicted: &DisplayImage, alpha: &[f32], truth: &DisplayImage) -> DisplayImage {
     let alpha = |i: usize| alpha.get(i).map_or(1.0, |a| a.clamp(0.0, 1.0));
     let subject = |v: f32, a: f32| srgb::decode((v - (1.0 - a)) / a.max(1e-6));
@@ -35,7 +36,7 @@ mod tests {
     use super::*;
     use crate::eval::image::psnr;
 
-    /// Colours on white by `alpha`, at an exposure.
+    /// Colours on white by `alpha`, with exposure `gain`.
     fn picture(alpha: &[f32], gain: [f32; 3]) -> DisplayImage {
         let pixel = |(i, a): (usize, &f32)| {
             std::array::from_fn(|c| srgb::encode(gain[c] * 0.05 * (1 + (i + c) % 7) as f32) * a + 1.0 - a)

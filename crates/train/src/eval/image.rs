@@ -1,21 +1,21 @@
-//! Metrics that compare two display-referred pictures: PSNR and SSIM.
+//! Metrics that compare two display-referred images: PSNR and SSIM.
 
 use relume_scene::Plane;
 
-/// A display-referred RGB picture, values in [0, 1].
+/// A display-referred RGB image, values in [0, 1].
 pub type DisplayImage = Plane<3>;
 
-/// SSIM's window: a Gaussian of 11 taps a side.
+/// SSIM's window: a Gaussian with 11 taps per side.
 const TAPS: usize = 11;
 const SIGMA: f64 = 1.5;
-/// SSIM's stabilisers for pictures in [0, 1].
+/// SSIM's stabilisers for images in [0, 1].
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// The PSNR of identical pictures, dB. The error at this PSNR is far below one level of 8 bits.
+/// The PSNR of identical images, dB. The error at this PSNR is far below one 8-bit level.
 pub const PSNR_CAP: f64 = 100.0;
 
-/// Mean squared error over all pixels and channels. Both slices have one length.
+/// Mean squared error over all pixels and channels. Both slices have the same length.
 pub fn mean_squared_error<const C: usize>(a: &[[f32; C]], b: &[[f32; C]]) -> f64 {
     let square = |(p, q): (&[f32; C], &[f32; C])| -> f64 {
         p.iter().zip(q).map(|(x, y)| f64::from(x - y).powi(2)).sum()
@@ -23,20 +23,20 @@ pub fn mean_squared_error<const C: usize>(a: &[[f32; C]], b: &[[f32; C]]) -> f64
     a.iter().zip(b).map(square).sum::<f64>() / (a.len().max(1) * C) as f64
 }
 
-/// Peak signal to noise ratio in dB for a peak of 1, at most [`PSNR_CAP`].
+/// Peak signal-to-noise ratio in dB for a peak of 1, at most [`PSNR_CAP`].
 pub fn psnr_of(mean_squared_error: f64) -> f64 {
     // Not `f64::min`, which would turn NaN into the cap.
     let psnr = -10.0 * mean_squared_error.log10();
     if psnr > PSNR_CAP { PSNR_CAP } else { psnr }
 }
 
-/// PSNR in dB over the whole picture, at most [`PSNR_CAP`].
+/// PSNR in dB over the whole image, at most [`PSNR_CAP`].
 pub fn psnr(a: &DisplayImage, b: &DisplayImage) -> f64 {
     psnr_of(mean_squared_error(&a.values, &b.values))
 }
 
-/// Structural similarity in [-1, 1]: 11x11 Gaussian window (sigma 1.5) over the *valid* region only, as
-/// TensoIR and mip-NeRF do; each channel apart, then the mean. `None` below 11 pixels a side.
+/// Structural similarity in [-1, 1]: 11x11 Gaussian window (sigma 1.5) over the *valid* region only, as in TensoIR
+/// and mip-NeRF, per channel, then the mean. `None` below 11 pixels per side.
 pub fn ssim(a: &DisplayImage, b: &DisplayImage) -> Option<f64> {
     let (width, height) = (a.width as usize, a.height as usize);
     if width < TAPS || height < TAPS || (a.width, a.height) != (b.width, b.height) {
@@ -106,7 +106,7 @@ mod tests {
         assert!((psnr(&a, &b) - 20.0).abs() < 1e-5);
         assert_eq!(psnr(&a, &a), PSNR_CAP);
         let poisoned = Plane { values: vec![[f32::NAN; 3]; 4], ..a.clone() };
-        assert!(psnr(&a, &poisoned).is_nan(), "NaN must not score");
+        assert!(psnr(&a, &poisoned).is_nan(), "NaN must not give a score");
     }
 
     #[test]

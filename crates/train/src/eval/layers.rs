@@ -1,4 +1,4 @@
-//! Metrics of G-buffer layers against ground truth: normals, albedo, and plain masked errors.
+//! Metrics of G-buffer layers against ground truth: normals, albedo, and masked errors.
 
 use crate::eval::image::{mean_squared_error, psnr_of};
 use crate::eval::views::foreground;
@@ -9,13 +9,13 @@ use relume_scene::{PackedImage, Plane};
 pub struct NormalErrors {
     /// Over pixels inside the ground-truth mask.
     pub foreground: f64,
-    /// TensoIR's figure: over every pixel, both sides blended by their alpha with the background (0, 0, 1),
-    /// so that empty pixels count as right.
+    /// TensoIR's value: over every pixel, both sides blended by their alpha with the background (0, 0, 1), so that
+    /// empty pixels have no error.
     pub all_pixels: f64,
 }
 
-/// Compares normals; the slices are row-major and of one length, `mask` is the ground-truth foreground.
-/// `None` when the mask is empty.
+/// Compares normals. The slices are row-major and have the same length; `mask` is the ground-truth foreground. `None`
+/// if the mask is empty.
 pub fn normal_errors(
     (predicted, predicted_alpha): (&[[f32; 3]], &[f32]),
     (truth, truth_alpha): (&[[f32; 3]], &[f32]),
@@ -47,21 +47,21 @@ fn blended(n: [f32; 3], alpha: f32) -> glam::DVec3 {
 
 /// The angle between two unit vectors; 90 degrees when one is zero.
 fn angle_deg(a: glam::DVec3, b: glam::DVec3) -> f64 {
-    // atan2 keeps its accuracy where acos of a rounded cosine near 1 does not.
+    // atan2 is accurate where acos of a rounded cosine near 1 is not.
     if a == glam::DVec3::ZERO || b == glam::DVec3::ZERO {
         return 90.0;
     }
     a.cross(b).length().atan2(a.dot(b)).to_degrees()
 }
 
-/// Collects ground truth / prediction over views, for the scale ambiguity of albedo and light.
+/// Collects ratios of ground truth to prediction over views, for the scale ambiguity of albedo and light.
 #[derive(Debug, Default)]
 pub struct RatioMedian {
     ratios: [Vec<f32>; 3],
 }
 
 impl RatioMedian {
-    /// Adds the pixels inside `mask`; predictions are held at 1e-6 or above, as TensoIR does.
+    /// Adds the pixels inside `mask`. Predictions are clamped to at least 1e-6, as in TensoIR.
     pub fn add(&mut self, predicted: &[[f32; 3]], truth: &[[f32; 3]], mask: &[bool]) {
         for ((p, t), _) in predicted.iter().zip(truth).zip(mask).filter(|(_, m)| **m) {
             for (ratios, (p, t)) in self.ratios.iter_mut().zip(p.iter().zip(t)) {
@@ -70,7 +70,7 @@ impl RatioMedian {
         }
     }
 
-    /// The per-channel median ratio (the lower one of an even number); `None` when nothing was added.
+    /// The per-channel median ratio (the lower one of an even number); `None` without pixels.
     pub fn median(mut self) -> Option<[f32; 3]> {
         if self.ratios[0].is_empty() {
             return None;
@@ -83,8 +83,8 @@ impl RatioMedian {
     }
 }
 
-/// PSNR in dB of linear albedo: over the whole image, both sides on white by their alpha, and over the
-/// ground truth's foreground alone.
+/// PSNR in dB of linear albedo: over the whole image, both sides on white by their alpha, and over the ground-truth
+/// foreground only.
 pub(crate) fn albedo_psnr(
     (predicted, predicted_alpha): (&[[f32; 3]], &[f32]),
     truth: &Plane<3>,
@@ -103,7 +103,7 @@ fn layer_on_white(colour: &[[f32; 3]], alpha: &[f32]) -> Vec<[f32; 3]> {
     colour.iter().zip(alpha).map(pixel).collect()
 }
 
-/// PSNR in dB of the pixels inside `mask` alone; `None` when it is empty.
+/// PSNR in dB of the pixels inside `mask`; `None` if it is empty.
 pub(crate) fn masked_psnr(a: &[[f32; 3]], b: &[[f32; 3]], mask: &[bool]) -> Option<f64> {
     let pick = |v: &[[f32; 3]]| -> Vec<[f32; 3]> {
         v.iter().zip(mask).filter(|(_, m)| **m).map(|(p, _)| *p).collect()
@@ -112,7 +112,7 @@ pub(crate) fn masked_psnr(a: &[[f32; 3]], b: &[[f32; 3]], mask: &[bool]) -> Opti
     (!a.is_empty()).then(|| psnr_of(mean_squared_error(&a, &b)))
 }
 
-/// Mean absolute error inside `mask`; `None` when it is empty.
+/// Mean absolute error inside `mask`; `None` if it is empty.
 pub(crate) fn masked_mae(
     predicted: &[f32],
     truth: impl IntoIterator<Item = f32>,
@@ -133,7 +133,7 @@ mod tests {
 
     #[test]
     fn background_lowers_only_the_all_pixel_normal_error() {
-        // One of four pixels is covered, and it is 90 degrees off.
+        // One of four pixels is covered; its error is 90 degrees.
         let mask = [true, false, false, false];
         let alpha = [1.0, 0.0, 0.0, 0.0];
         let zero = [0.0; 3];
@@ -165,7 +165,7 @@ mod tests {
         ratios.add(&predicted, &truth, &mask);
         let median = ratios.median().unwrap();
         (0..3).for_each(|k| assert!((median[k] / scale[k] - 1.0).abs() < 1e-5, "{median:?}"));
-        // Negative control: without the mask the background decides.
+        // The control: without the mask the background determines the median.
         let mut unmasked = RatioMedian::default();
         unmasked.add(&predicted, &truth, &[true; 99]);
         assert!((unmasked.median().unwrap()[0] / scale[0] - 1.0).abs() > 0.1);

@@ -1,4 +1,4 @@
-//! LPIPS v0.1 with an AlexNet backbone (Zhang et al. 2018): a learned perceptual distance of two pictures.
+//! LPIPS v0.1 with an AlexNet backbone (Zhang et al. 2018): a learned perceptual distance between two images.
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,7 @@ use crate::eval::image::DisplayImage;
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
 const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
 
-/// Smallest side in pixels that leaves the deepest layer one pixel.
+/// Smallest side in pixels for which the deepest layer has one pixel.
 const MIN_SIDE: u32 = 31;
 
 /// The five convolutions: weight name, kernel, stride, padding, output channels, input channels.
@@ -24,7 +24,7 @@ const LAYERS: [(&str, usize, usize, usize, usize, usize); 5] = [
     ("features.10", 3, 1, 1, 256, 256),
 ];
 
-/// Why the weights were refused.
+/// Errors of reading the weights.
 #[derive(Debug, thiserror::Error)]
 pub enum LpipsError {
     /// The file could not be read.
@@ -32,13 +32,13 @@ pub enum LpipsError {
     Read {
         /// The file.
         path: PathBuf,
-        /// The system's error.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// Not a safetensors file.
+    /// The file is not a safetensors file.
     #[error("LPIPS weights: {0}")]
     Container(#[from] safetensors::SafeTensorError),
-    /// A tensor is missing or of another shape.
+    /// A tensor is missing or has another shape.
     #[error("LPIPS weights: tensor {name}: {reason}")]
     Tensor {
         /// The tensor.
@@ -48,7 +48,7 @@ pub enum LpipsError {
     },
 }
 
-/// The metric with its weights. Build it once; it is shared between threads.
+/// The metric with its weights. Build it once and share it between threads.
 pub struct Lpips {
     convs: Vec<Conv>,
     heads: Vec<Vec<f32>>,
@@ -58,16 +58,16 @@ impl Lpips {
     /// Reads the weights from a safetensors file (torchvision names, OIHW, f32; heads `lin0` to `lin4`).
     ///
     /// # Errors
-    /// Names the file, or the tensor that is missing or of another shape.
+    /// Names the file, or the tensor that is missing or has another shape.
     pub fn read(path: &Path) -> Result<Self, LpipsError> {
         let bytes = std::fs::read(path).map_err(|source| LpipsError::Read { path: path.into(), source })?;
         Self::decode(&bytes)
     }
 
-    /// Takes the weights from the bytes of a safetensors file.
+    /// Reads the weights from the bytes of a safetensors file.
     ///
     /// # Errors
-    /// Names the tensor that is missing or of another shape.
+    /// Names the tensor that is missing or has another shape.
     pub fn decode(bytes: &[u8]) -> Result<Self, LpipsError> {
         let file = SafeTensors::deserialize(bytes)?;
         let (mut convs, mut heads) = (Vec::new(), Vec::new());
@@ -80,8 +80,8 @@ impl Lpips {
         Ok(Self { convs, heads })
     }
 
-    /// The distance of two display-referred pictures, 0 for equal ones; `None` when they differ in size or a
-    /// side is shorter than 31 pixels, the network's smallest input.
+    /// The distance between two display-referred images, 0 for equal images; `None` if their sizes differ or a side
+    /// is shorter than 31 pixels, the network's smallest input.
     pub fn distance(&self, a: &DisplayImage, b: &DisplayImage) -> Option<f64> {
         if (a.width, a.height) != (b.width, b.height) || a.width.min(a.height) < MIN_SIDE {
             return None;
@@ -143,7 +143,8 @@ fn tensor(file: &SafeTensors<'_>, name: String, shape: &[usize]) -> Result<Vec<f
         Err(_) => return Err(LpipsError::Tensor { name, reason: "is missing".into() }),
     };
     if view.dtype() != Dtype::F32 || view.shape() != shape {
-        let reason = format!("must be f32 of shape {shape:?}, is {:?} of {:?}", view.dtype(), view.shape());
+        let reason =
+            format!("must be f32 of shape {shape:?}, but is {:?} of {:?}", view.dtype(), view.shape());
         return Err(LpipsError::Tensor { name, reason });
     }
     Ok(view.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect())

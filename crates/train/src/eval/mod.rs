@@ -1,7 +1,7 @@
 //! Metrics against ground truth, reports and contact sheets.
 //!
-//! The main protocol is TensoIR's: whole image on white, no mask, sRGB curve, no scaling of pictures. Every report states
-//! it in full in [`Report::protocol`].
+//! The main protocol is that of TensoIR: whole image on white, no mask, sRGB curve, no scaling of images.
+//! [`Report::protocol`] states it completely in every report.
 
 mod attribution;
 mod contact;

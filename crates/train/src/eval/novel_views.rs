@@ -1,4 +1,4 @@
-//! Novel views alone, one at a time, for callers that have something else to do in between.
+//! Compares novel views one at a time, for callers that interleave other work.
 
 use std::sync::Arc;
 
@@ -25,7 +25,7 @@ pub struct NovelViews {
     matched: ImageTotals,
 }
 
-/// Means over the views that were compared.
+/// Means over the compared views.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct NovelViewScores {
     /// The physically based branch; empty for a model without materials.
@@ -37,10 +37,10 @@ pub struct NovelViewScores {
 }
 
 impl NovelViews {
-    /// Nothing is compared yet.
+    /// A comparison without views.
     ///
     /// # Errors
-    /// The device's.
+    /// [`EvalError::Device`].
     pub fn new(model: Arc<Model>, quality: Quality, device: &Device) -> Result<Self, EvalError> {
         Ok(Self {
             has_materials: model.has_materials(),
@@ -71,7 +71,7 @@ impl NovelViews {
         Ok(())
     }
 
-    /// What was found so far.
+    /// Scores of the views compared so far.
     pub fn scores(&self) -> NovelViewScores {
         let (shaded, radiance) = (self.shaded.scores(), self.radiance.scores());
         NovelViewScores { shaded, radiance, matched: self.matched.scores() }

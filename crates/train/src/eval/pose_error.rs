@@ -1,25 +1,27 @@
-//! How far poses that were found are from others of the same photographs.
+//! Differences between estimated poses and reference poses of the same photographs.
 
 use glam::{DQuat, DVec3};
 
 use relume_scene::Camera;
 
-/// Orientations that differ by less, in degrees, agree; the worlds are brought onto each other by these photographs.
+/// Greatest difference of two orientations that agree, degrees. The photographs that agree determine the alignment of
+/// the worlds.
 const AGREE_DEG: f64 = 5.0;
 
-/// Errors after the worlds were brought onto each other by a rotation, a scale and a shift: those of the photographs that agree.
+/// Errors after the worlds are aligned by a rotation, a scale and a translation, determined from the photographs that
+/// agree.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseErrors {
     /// Angle between the orientations of each photograph, degrees.
     pub rotations_deg: Vec<f64>,
-    /// Distance between the centres of each photograph, over the median distance of the true cameras from their mean, both of
-    /// those that agree.
+    /// Distance between the centres of each photograph, divided by the median distance of the reference cameras from
+    /// their mean, both over the photographs that agree.
     pub positions: Vec<f64>,
 }
 
 impl PoseErrors {
-    /// Compares poses of the same photographs, found and true, in the same order. `None` for fewer than three, and where all
-    /// cameras stand in one place.
+    /// Compares estimated and reference poses of the same photographs, in the same order. `None` for fewer than
+    /// three, and if all cameras have the same position.
     pub fn of(found: &[Camera], truth: &[Camera]) -> Option<Self> {
         let count = found.len().min(truth.len());
         if count < 3 {
@@ -50,30 +52,31 @@ impl PoseErrors {
         })
     }
 
-    /// How many orientations agree within 5 degrees.
+    /// Number of orientations that agree within 5 degrees.
     pub fn agreeing(&self) -> usize {
         self.rotations_deg.iter().filter(|angle| **angle < AGREE_DEG).count()
     }
 
-    /// Medians of the rotations, degrees, and the positions.
+    /// Medians of the rotation errors, degrees, and of the position errors.
     pub fn medians(&self) -> (f64, f64) {
         (median(self.rotations_deg.clone()), median(self.positions.clone()))
     }
 
-    /// The largest of each.
+    /// The largest rotation error, degrees, and the largest position error.
     pub fn largest(&self) -> (f64, f64) {
         let largest = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
         (largest(&self.rotations_deg), largest(&self.positions))
     }
 }
 
-/// The turn from which the others differ least, by median: that of most photographs, however wrong the rest are.
+/// The rotation with the least median difference from the others: that of most photographs, whatever the errors of
+/// the rest.
 fn agreed(turns: &[DQuat]) -> Option<DQuat> {
     let off = |turn: &DQuat| median(turns.iter().map(|other| turn.angle_between(*other)).collect());
     turns.iter().copied().min_by(|a, b| off(a).total_cmp(&off(b)))
 }
 
-/// The mean of rotations that differ little from `near`.
+/// The mean of rotations that are close to `near`.
 fn mean(near: DQuat, turns: impl Iterator<Item = DQuat>) -> DQuat {
     let zero = DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0);
     turns.fold(zero, |sum, turn| sum + if near.dot(turn) < 0.0 { -turn } else { turn }).normalize()
@@ -95,7 +98,7 @@ mod tests {
         (0..8).map(|i| Camera::look_at(eye(i), DVec3::ZERO, DVec3::Z, 0.7, (64, 48)).unwrap()).collect()
     }
 
-    /// The camera in a world that was turned, scaled and shifted.
+    /// The camera in a rotated, scaled and translated world.
     fn moved(camera: &Camera) -> Camera {
         let turn = DMat3::from_rotation_x(1.1) * DMat3::from_rotation_z(2.5);
         let centre = turn * camera.centre() * 0.2 + DVec3::new(5.0, -1.0, 2.0);
@@ -112,9 +115,9 @@ mod tests {
         found[3].rotation = DMat3::from_rotation_y(0.2) * found[3].rotation;
         let one = PoseErrors::of(&found, &truth).unwrap();
         assert!(one.rotations_deg[3] > 8.0 && one.largest().1 > 0.1 && one.agreeing() == 7, "{one:?}");
-        assert!(one.medians().0 < 1e-4, "one that is wrong does not make others wrong");
+        assert!(one.medians().0 < 1e-4, "one wrong pose does not affect the others");
         assert!(PoseErrors::of(&found[..2], &truth[..2]).is_none());
         let together = vec![truth[0]; 4];
-        assert!(PoseErrors::of(&together, &together).is_none(), "all in one place");
+        assert!(PoseErrors::of(&together, &together).is_none(), "all at the same position");
     }
 }

@@ -1,14 +1,14 @@
-//! The report of an evaluation: JSON with stable keys, and a Markdown table of the same figures.
+//! The report of an evaluation: JSON with stable keys, and a Markdown table of the same values.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use serde::{Deserialize, Serialize};
 
-/// Similarity of two sets of pictures; each figure is computed per picture, then averaged.
+/// Similarity of two sets of images. Each value is computed per image, then averaged.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ImageScores {
-    /// Peak signal to noise ratio, dB.
+    /// Peak signal-to-noise ratio, dB.
     pub psnr: Option<f64>,
     /// Structural similarity.
     pub ssim: Option<f64>,
@@ -21,15 +21,15 @@ pub struct ImageScores {
 pub struct RelitScores {
     /// Mean over lights.
     pub mean: ImageScores,
-    /// One entry a light.
+    /// One entry per light.
     #[serde(flatten)]
     pub lights: BTreeMap<String, ImageScores>,
 }
 
-/// Albedo, linear.
+/// Errors of the albedo, linear.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct AlbedoScores {
-    /// PSNR as predicted, whole image on white, dB.
+    /// PSNR without alignment, whole image on white, dB.
     pub psnr_raw: Option<f64>,
     /// PSNR after the per-channel median alignment, whole image on white, dB.
     pub psnr_aligned: Option<f64>,
@@ -37,7 +37,7 @@ pub struct AlbedoScores {
     pub psnr_raw_foreground: Option<f64>,
     /// As `psnr_aligned`, over foreground pixels only.
     pub psnr_aligned_foreground: Option<f64>,
-    /// The alignment: per-channel median of truth / prediction.
+    /// The alignment: per-channel median of ground truth / prediction.
     pub scale: Option<[f32; 3]>,
 }
 
@@ -46,34 +46,35 @@ pub struct AlbedoScores {
 pub struct NormalScores {
     /// Inside the ground-truth mask.
     pub foreground: Option<f64>,
-    /// TensoIR's mean over all pixels, empty ones included.
+    /// TensoIR's mean over all pixels, including empty ones.
     pub all_pixels: Option<f64>,
 }
 
-/// Everything `relume eval` measures. A quantity that could not be measured is null, and `notes` says why.
+/// All measurements of `relume eval`. A value that could not be measured is null, and `notes` states the reason.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// What exactly was compared: sizes, window, masks, curve.
+    /// Description of the comparison: sizes, window, masks, curve.
     pub protocol: String,
-    /// Test views compared.
+    /// Number of compared test views.
     pub views: usize,
     /// Held-out views, physically based branch under the recovered light.
     pub novel_view: ImageScores,
     /// Held-out views, radiance branch.
     pub novel_view_radiance: ImageScores,
-    /// As `novel_view`, each picture brought to the exposure and white balance of its photograph by one gain per channel.
+    /// As `novel_view`, with each image matched to the exposure and white balance of its photograph by one gain per
+    /// channel.
     #[serde(default)]
     pub novel_view_matched: ImageScores,
-    /// As `novel_view_radiance`, likewise.
+    /// As `novel_view_radiance`, with the same matching.
     #[serde(default)]
     pub novel_view_radiance_matched: ImageScores,
-    /// Held-out views under lights never photographed, albedo as recovered.
+    /// Held-out views under lights without photographs, with the recovered albedo.
     pub relit: RelitScores,
-    /// The same after the albedo alignment.
+    /// As `relit`, after the albedo alignment.
     pub relit_aligned: RelitScores,
-    /// Base colour.
+    /// Errors of the base colour.
     pub albedo: AlbedoScores,
-    /// Shading normals.
+    /// Errors of the shading normals.
     pub normal_mae_deg: NormalScores,
     /// Mean absolute error of ambient occlusion, foreground.
     pub ao_mae: Option<f64>,
@@ -85,16 +86,16 @@ pub struct Report {
     pub depth_mae: Option<f64>,
     /// Training time from the model card, seconds.
     pub training_seconds: Option<f64>,
-    /// Gaussians in the model.
+    /// Number of Gaussians in the model.
     pub gaussians: usize,
-    /// Relit frames a second by tier, at the size of the test views, tables prepared.
+    /// Relit frames per second by tier, at the size of the test views, with prepared tables.
     pub render_fps: BTreeMap<String, f64>,
-    /// Why a figure is null, by its key.
+    /// Reasons for null values, by key.
     pub notes: BTreeMap<String, String>,
 }
 
 impl Report {
-    /// Enters a training time that the caller knows, e.g. from a job, where the model card has none.
+    /// Adds a training time that the caller knows, e.g. from a job, if the model card has none.
     pub fn note_training_seconds(&mut self, seconds: Option<f64>) {
         if self.training_seconds.is_none() && seconds.is_some() {
             self.training_seconds = seconds;
@@ -102,15 +103,15 @@ impl Report {
         }
     }
 
-    /// The report as indented JSON with a newline at its end.
+    /// The report as indented JSON with a final newline.
     pub fn to_json(&self) -> String {
-        // Numbers and strings only: serialisation cannot fail.
+        // The report has only numbers and strings, so serialisation cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// The report as Markdown: pictures in one table, single figures in another, then protocol and notes.
+    /// The report as Markdown: a table of image scores, a table of single values, then protocol and notes.
     pub fn to_markdown(&self) -> String {
-        let mut out = String::from("| pictures | PSNR dB | SSIM | LPIPS |\n|---|---|---|---|\n");
+        let mut out = String::from("| images | PSNR dB | SSIM | LPIPS |\n|---|---|---|---|\n");
         let mut row = |name: &str, s: &ImageScores| {
             let cells = [figure(s.psnr, 2), figure(s.ssim, 4), figure(s.lpips, 4)].join(" | ");
             let _ = writeln!(out, "| {} | {cells} |", cell(name));
@@ -123,7 +124,7 @@ impl Report {
             row(&format!("{title}, mean"), &scores.mean);
             scores.lights.iter().for_each(|(light, s)| row(&format!("{title}, {light}"), s));
         }
-        out.push_str("\n| figure | value |\n|---|---|\n");
+        out.push_str("\n| measurement | value |\n|---|---|\n");
         for (name, value) in self.figures() {
             let _ = writeln!(out, "| {name} | {value} |");
         }
@@ -152,12 +153,13 @@ impl Report {
         ];
         rows.retain(|(_, value)| !value.is_empty());
         let rows = rows.into_iter().map(|(name, value)| (name.to_owned(), value));
-        let fps = self.render_fps.iter().map(|(t, v)| (format!("frames a second, {t}"), figure(Some(*v), 1)));
+        let fps =
+            self.render_fps.iter().map(|(t, v)| (format!("frames per second, {t}"), figure(Some(*v), 1)));
         rows.chain(fps).collect()
     }
 }
 
-/// A number for a table with so many decimals, or a dash.
+/// A number for a table with `digits` decimals, or a dash.
 pub fn figure(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |v| format!("{v:.digits$}"))
 }
@@ -192,7 +194,7 @@ mod tests {
             "/training_seconds",
         ];
         for pointer in pointers {
-            assert!(json.pointer(pointer).is_some(), "{pointer} is not there");
+            assert!(json.pointer(pointer).is_some(), "{pointer} is missing");
         }
         assert!(json["novel_view"]["lpips"].is_null() && json["ao_mae"].is_null());
         assert_eq!(json["render_fps"]["standard"], 5.0);

@@ -1,4 +1,4 @@
-//! Contact sheets: labelled pictures in a grid, as a PNG.
+//! Contact sheets: labelled images in a grid, as a PNG.
 
 use std::io::Cursor;
 
@@ -10,13 +10,13 @@ use relume_scene::Plane;
 
 const PAPER: [u8; 3] = [24, 24, 27];
 const INK: [u8; 3] = [235, 235, 235];
-/// Weight and height in pixels of the labels' letters.
+/// Weight and height in pixels of the label font.
 const WEIGHT: FontWeight = FontWeight::Regular;
 const LETTERS: RasterHeight = RasterHeight::Size16;
 /// Pixels between cells.
 const GAP: u32 = 4;
 
-/// A grid of pictures with a name over each column and over each row.
+/// A grid of images with a label above each column and each row.
 #[derive(Debug, Clone, Default)]
 pub struct Sheet {
     columns: Vec<String>,
@@ -29,15 +29,15 @@ impl Sheet {
         Self { columns: columns.into_iter().map(Into::into).collect(), rows: Vec::new() }
     }
 
-    /// Adds a row. `None` leaves a cell empty; what exceeds the columns is not drawn.
+    /// Adds a row. `None` leaves a cell empty; cells beyond the columns are not drawn.
     pub fn push(&mut self, name: impl Into<String>, cells: Vec<Option<DisplayImage>>) {
         self.rows.push((name.into(), cells));
     }
 
-    /// Draws the sheet, each picture fitted into a square cell of `side` pixels (at least 16).
+    /// Draws the sheet, with each image fitted to a square cell of `side` pixels (at least 16).
     ///
     /// # Errors
-    /// What the PNG encoder says.
+    /// The error of the PNG encoder.
     pub fn to_png(&self, side: u32) -> Result<Vec<u8>, image::ImageError> {
         let mut out = Cursor::new(Vec::new());
         self.draw(side.max(16)).write_to(&mut out, ImageFormat::Png)?;
@@ -66,7 +66,7 @@ impl Sheet {
     }
 }
 
-/// The picture with its longer side at `side` pixels.
+/// The image resized to `side` pixels on its longer side.
 fn fitted(picture: &DisplayImage, side: u32) -> DisplayImage {
     let longest = picture.width.max(picture.height).max(1);
     let scaled = |n: u32| ((u64::from(n) * u64::from(side) / u64::from(longest)) as u32).max(1);
@@ -81,8 +81,8 @@ fn paste(sheet: &mut RgbImage, (left, top): (u32, u32), picture: &DisplayImage) 
     }
 }
 
-/// Writes text from its top left corner, cut off at `room` pixels or the sheet's edge. A question mark stands for a
-/// character that the font does not have.
+/// Draws text from its top left corner, cut off at `room` pixels or the sheet's edge. Characters that the font lacks
+/// are drawn as question marks.
 fn write(sheet: &mut RgbImage, (left, top): (u32, u32), room: u32, text: &str) {
     let advance = get_raster_width(WEIGHT, LETTERS);
     let glyph = |c| get_raster(c, WEIGHT, LETTERS).or_else(|| get_raster('?', WEIGHT, LETTERS));
@@ -98,13 +98,13 @@ fn write(sheet: &mut RgbImage, (left, top): (u32, u32), room: u32, text: &str) {
     }
 }
 
-/// A one-channel layer as grey.
+/// A one-channel layer as a grey image.
 pub fn grey(width: u32, height: u32, values: impl IntoIterator<Item = f32>) -> DisplayImage {
     Plane { width, height, values: values.into_iter().map(|v| [v; 3]).collect() }
 }
 
-/// How far two pictures of one size differ: black for equal, over red and yellow to white at a mean channel
-/// difference of 0.25.
+/// The difference of two images of the same size: from black for equal pixels through red and yellow to white at a
+/// mean channel difference of 0.25.
 pub fn error_map(a: &DisplayImage, b: &DisplayImage) -> DisplayImage {
     let heat = |(p, q): (&[f32; 3], &[f32; 3])| {
         let difference: f32 = p.iter().zip(q).map(|(x, y)| (x - y).abs()).sum::<f32>() / 3.0;

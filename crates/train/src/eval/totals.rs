@@ -28,7 +28,7 @@ impl Mean {
     }
 }
 
-/// DisplayImage metrics over views.
+/// Image metrics over views.
 #[derive(Default)]
 pub(crate) struct ImageTotals {
     psnr: Mean,
@@ -63,7 +63,7 @@ pub(crate) struct LayerTotals {
 }
 
 impl LayerTotals {
-    /// Compares one view's layers with whatever truth the view carries.
+    /// Compares one view's layers with the ground truth that the view has.
     pub(crate) fn add(&mut self, layers: &ViewLayers, view: &CaptureView) {
         let (truth, mask) = (&view.truth, foreground(&view.image));
         if let Some(albedo) = &truth.albedo {
@@ -86,7 +86,7 @@ impl LayerTotals {
             self.roughness.add(masked_mae(&layers.roughness, material.values.iter().map(|v| v[1]), &mask));
         }
         if let Some(depth) = &truth.depth {
-            // 0 marks "nothing there" in the truth, infinity in the prediction: neither is a distance.
+            // Depth without a surface is 0 in the ground truth and infinity in the prediction.
             let pairs = depth.values.iter().zip(&layers.depth);
             let known = pairs.zip(&mask).map(|((t, p), m)| *m && t[0] > 0.0 && !p.is_infinite());
             let known: Vec<bool> = known.collect();
@@ -94,7 +94,7 @@ impl LayerTotals {
         }
     }
 
-    /// Enters the means into the report.
+    /// Writes the means to the report.
     pub(crate) fn write(self, report: &mut Report) {
         report.albedo.psnr_raw = self.albedo.value();
         report.albedo.psnr_raw_foreground = self.albedo_foreground.value();

@@ -1,4 +1,4 @@
-//! A model's renderings of one test view, as pictures and layers that can be compared with ground truth.
+//! A model's renderings of one test view, as images and layers that are compared with ground truth.
 
 use crate::eval::image::DisplayImage;
 use crate::render::{Frame, PreparedLight, RenderError, Renderer};
@@ -8,7 +8,7 @@ use relume_scene::srgb;
 use relume_scene::{Camera, ImageRgba, Model, PackedImage, Plane};
 use relume_spec::rendering::{Output, Quality};
 
-/// A test view under the model's own recovered light, with every layer that ground truth may know.
+/// A test view under the model's recovered light, with every layer for which ground truth may exist.
 pub(crate) struct ViewLayers {
     /// The physically based branch on white, display-referred.
     pub(crate) shaded: DisplayImage,
@@ -34,18 +34,18 @@ const LAYERS: [Output; 8] = [
     Output::Depth,
 ];
 
-/// The light a model recovered, as it stood in a test view.
+/// The recovered light of a model, rotated as in a test view.
 #[derive(Default)]
 pub(crate) struct RecoveredLight {
-    /// Degrees, and the light turned by them; that of the last view.
+    /// Degrees, and the light rotated by them, of the last view.
     prepared: Option<(f64, PreparedLight)>,
 }
 
 impl RecoveredLight {
-    /// The light of `view`; prepared anew only where it stood otherwise in the view before.
+    /// The light of `view`; prepared again only if its rotation differs from that of the previous view.
     ///
     /// # Errors
-    /// The device's.
+    /// The device failed.
     pub(crate) fn of(
         &mut self,
         renderer: &Renderer,
@@ -67,7 +67,7 @@ impl ViewLayers {
     /// Renders all layers of `camera`'s view under `light`.
     ///
     /// # Errors
-    /// The renderer's.
+    /// The renderer's error.
     pub(crate) fn render(
         renderer: &Renderer,
         camera: &Camera,
@@ -89,10 +89,10 @@ impl ViewLayers {
     }
 }
 
-/// The relit picture of a view on white, display-referred.
+/// The relit image of a view on white, display-referred.
 ///
 /// # Errors
-/// The renderer's.
+/// The renderer's error.
 pub(crate) fn relit(
     renderer: &Renderer,
     camera: &Camera,
@@ -102,8 +102,8 @@ pub(crate) fn relit(
     Ok(on_white(&renderer.render(camera, light, quality, &[Output::Rgb])?, Output::Rgb))
 }
 
-/// A premultiplied linear colour plane, composited on white *after* the display curve, as photographs with
-/// straight alpha are: `srgb(clamp(rgb / alpha)) * alpha + 1 - alpha`.
+/// A premultiplied linear colour plane, composited on white *after* the display curve, like photographs with straight
+/// alpha: `srgb(clamp(rgb / alpha)) * alpha + 1 - alpha`.
 pub fn on_white(frame: &Frame, output: Output) -> DisplayImage {
     let alpha = scalars(frame, Output::Alpha);
     let pixel = |(c, a): (&[f32; 3], &f32)| {
@@ -122,37 +122,37 @@ fn colours(frame: &Frame, output: Output) -> Vec<[f32; 3]> {
     frame.planes.get(&output).map(|p| p.as_chunks::<3>().0.to_vec()).unwrap_or_default()
 }
 
-/// A photograph or relit truth on white, display-referred.
+/// A photograph or relit ground truth on white, display-referred.
 pub fn photograph(image: &ImageRgba) -> DisplayImage {
     Plane { width: image.width, height: image.height, values: image.over([1.0; 3]) }
 }
 
-/// A photograph on white as `model` could show it: of a subject that was cropped out of photographs without masks, only what
-/// the model's own `alpha` covers.
+/// The part of a photograph that `model` represents, on white: for a model with a crop, the part that its `alpha`
+/// covers.
 pub(crate) fn shown_by(model: &Model, view: &CaptureView, alpha: &[f32]) -> DisplayImage {
     let photograph = photograph(&view.image.decoded());
     if is_cropped(model) { covered(photograph, alpha) } else { photograph }
 }
 
-/// What `alpha` covers of a picture, on white.
+/// The part of an image that `alpha` covers, on white.
 fn covered(picture: DisplayImage, alpha: &[f32]) -> DisplayImage {
     let pixel = |(p, a): (&[f32; 3], &f32)| p.map(|v| v * a + 1.0 - a);
     let values = picture.values.iter().zip(alpha).map(pixel).collect();
     Plane { values, ..picture }
 }
 
-/// Whether the model's subject was cropped out of photographs without masks.
+/// Whether the model has a crop of photographs without masks.
 pub(crate) fn is_cropped(model: &Model) -> bool {
     model.card.get("crop").is_some_and(|region| !region.is_null())
 }
 
-/// Ground truth's foreground: alpha above one half.
+/// Foreground of the ground truth: alpha above one half.
 pub(crate) fn foreground(image: &PackedImage) -> Vec<bool> {
     image.pixels().map(|p| p[3] > 0.5).collect()
 }
 
-/// The model with its albedo multiplied per channel: albedo is linear in prototypes and residuals (article
-/// Eq. 23), so both take the factor and nothing else changes.
+/// The model with its albedo multiplied per channel. Albedo is linear in prototypes and residuals (article Eq. 23),
+/// so both are multiplied and nothing else changes.
 pub(crate) fn with_scaled_albedo(model: &Model, scale: [f32; 3]) -> Model {
     let mut scaled = model.clone();
     for prototype in &mut scaled.prototypes {
@@ -178,7 +178,7 @@ mod tests {
         // Linear 0.25 at half coverage: premultiplied 0.125.
         let shown = on_white(&one_pixel([0.125; 3], 0.5), Output::Rgb).values[0][0];
         assert!((shown - (0.5 * srgb::encode(0.25) + 0.5)).abs() < 1e-6);
-        // Negative control: blending in linear light first is another number.
+        // The control: blending in linear light first gives another value.
         assert!((shown - srgb::encode(0.125 + 0.5)).abs() > 0.02);
     }
 

@@ -1,14 +1,14 @@
-//! What a search for lights gives.
+//! A detected light.
 
 use relume_scene::SplitLight;
 
 /// A light and the evidence for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectedLight {
-    /// Where it is and how wide.
+    /// Direction and angular radius.
     pub light: SplitLight,
-    /// Irradiance of a surface turned to it over that of an open one under the sky, by channel.
+    /// Irradiance of a surface that faces the light, relative to that of an unoccluded one under the sky, by channel.
     pub strength: [f32; 3],
-    /// Share by which it lowers the variation, against the same light with soft shadows.
+    /// Share by which the light lowers the variation, compared with the same light with soft shadows.
     pub gain: f32,
 }

@@ -1,10 +1,10 @@
-//! Strong small lights of the photographs, found by the shadows they cast.
+//! Detects strong small lights in the photographs by the shadows that they cast.
 //!
-//! Under the true light, what is left of a surface's colour when its irradiance is divided out has as few edges as its
-//! material. A light whose shadows are sharper than the visibility field leaves the edges of its shadows in it. So a
-//! direction is judged by the variation of `ln(colour / irradiance)` between neighbours, when a light from there is added to
-//! an even sky through its measured transmittance. It is taken only where it does better than the same light through the
-//! visibility field: a scene whose shadows are soft needs none.
+//! Under the true light, a surface colour divided by its irradiance has only the edges of the material. The edges of
+//! shadows remain if a light casts sharper shadows than the visibility field represents. The criterion for a
+//! direction is the variation of `ln(colour / irradiance)` between neighbours if a light from there is added to a
+//! uniform sky through its measured transmittance. The light is accepted only if its variation is lower than that of
+//! the same light through the visibility field: a scene with soft shadows needs none.
 
 mod detected_light;
 mod neighbours;
@@ -21,37 +21,39 @@ use relume_scene::light::{UNOCCLUDED_SH0, sh_eval};
 use relume_scene::{Camera, Field, Gaussians, MAX_LIGHTS, SplitLight};
 pub use split::{split, start};
 
-/// Directions of the first search.
+/// Number of directions of the first search.
 const DIRECTIONS: usize = 160;
-/// Directions of the first search from which finer ones start.
+/// Number of directions of the first search that are refined.
 const STARTS: usize = 5;
-/// Sine of the elevation below which no light is looked for.
+/// Sine of the elevation below which no light is searched.
 const MIN_ELEVATION_SINE: f32 = -0.2;
-/// Angles of the finer searches, radians: each tries six directions around the best one so far.
+/// Angles of the refinement steps, radians. Each step tests six directions around the best one so far.
 const FINER: [f32; 5] = [0.14, 0.07, 0.035, 0.018, 0.009];
-/// Irradiances that are tried, of a surface turned to the light, over that of an open one under the sky.
+/// Tested irradiances of a surface that faces the light, relative to that of an unoccluded one under the sky.
 const STRENGTHS: [f32; 7] = [0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
-/// Angular radii that are tried, radians.
+/// Tested angular radii, radians.
 const RADII: [f32; 3] = [0.005, 0.06, 0.15];
-/// Least strength of a light, mean of the channels: the visibility field draws the shadows of weaker ones well enough.
+/// Least strength of a light, mean of the channels. The visibility field represents the shadows of weaker lights
+/// sufficiently.
 const MIN_STRENGTH: f32 = 1.5;
-/// A light has to lower the variation by this share, against the same light with soft shadows.
+/// Least share by which a light must lower the variation, compared with the same light with soft shadows.
 const MIN_GAIN: f32 = 0.04;
-/// A light moves only if that lowers the variation by this share.
+/// Least share by which the variation must fall for a light to move.
 const MIN_MOVE_GAIN: f32 = 0.01;
-/// Photographs in which Gaussians are looked for.
+/// Number of photographs in which visible Gaussians are determined.
 const PHOTOS: usize = 12;
-/// Least pixels in which a Gaussian that is looked at is seen.
+/// Least number of visible pixels of a Gaussian that is used.
 const MIN_VISIBLE_PIXELS: f32 = 2.0;
-/// Linear colours that say something about shading: neither black nor clipped.
+/// Linear colours with information about shading: neither black nor clipped.
 const INFORMATIVE_RANGE: (f32, f32) = (0.01, 0.95);
-/// Least colour and irradiance of which a logarithm is taken.
+/// Lower bound of colour and irradiance before the logarithm.
 const MIN_LOG_ARGUMENT: f32 = 2e-3;
-/// Factor of the components of a direction in Y_1m.
+/// Factor of a direction's components in Y_1m.
 const LINEAR_BAND: f32 = 0.488_602_5;
 
-/// Looks for at most `most` lights in a state whose visibility was measured. `seen`: pixels in which each Gaussian is seen;
-/// `previous`: lights that were found before, which stay where they are unless it is clearly better to move.
+/// Searches for at most `most` lights in a state with measured visibility. `seen`: number of pixels in which each
+/// Gaussian is visible. `previous`: lights that were found before, which move only if another position is clearly
+/// better.
 pub fn search(state: &TrainState, seen: &[f32], most: usize, previous: &[SplitLight]) -> Vec<DetectedLight> {
     let scene = LightSearch::new(state, seen);
     let mut found: Vec<DetectedLight> = Vec::new();
@@ -65,7 +67,7 @@ pub fn search(state: &TrainState, seen: &[f32], most: usize, previous: &[SplitLi
     found
 }
 
-/// Pixels in which each Gaussian is seen, over a dozen of `cameras`.
+/// Number of pixels in which each Gaussian is visible, over about [`PHOTOS`] of `cameras`.
 pub fn seen(state: &TrainState, cameras: &[&Camera]) -> Vec<f32> {
     let mut out = vec![0.0; state.model.gaussians.len()];
     for camera in cameras.iter().step_by((cameras.len() / PHOTOS).max(1)) {
@@ -74,21 +76,21 @@ pub fn seen(state: &TrainState, cameras: &[&Camera]) -> Vec<f32> {
     out
 }
 
-/// What is compared.
+/// Inputs of the search.
 struct LightSearch<'a> {
     state: &'a TrainState,
     normals: Vec<[f32; 3]>,
-    /// `ln` of linear colours.
+    /// Logarithms of linear colours.
     colours: Vec<[f32; 3]>,
     neighbours: Neighbours,
 }
 
-/// A light on trial.
+/// A tested light.
 struct LightCandidate {
     light: SplitLight,
     strength: [f32; 3],
     variation: f32,
-    /// Irradiance with it.
+    /// Irradiance including the light.
     irradiance: Vec<[f32; 3]>,
 }
 
@@ -111,7 +113,7 @@ impl<'a> LightSearch<'a> {
         &self.state.model.gaussians
     }
 
-    /// Irradiance under an even sky of radiance 1, over pi.
+    /// Irradiance under a uniform sky of radiance 1, divided by pi.
     fn sky(&self) -> Vec<[f32; 3]> {
         let g = self.gaussians();
         let open = |i: usize| {
@@ -125,7 +127,7 @@ impl<'a> LightSearch<'a> {
         sky
     }
 
-    /// The best light beside `irradiance` and the irradiance with it, if the evidence is enough.
+    /// The best light in addition to `irradiance`, and the irradiance with it; `None` without sufficient evidence.
     fn accepted(
         &self,
         irradiance: &[[f32; 3]],
@@ -139,7 +141,8 @@ impl<'a> LightSearch<'a> {
         (gain > MIN_GAIN && is_strong).then_some((found, best.irradiance))
     }
 
-    /// The best light beside `irradiance`: near the `previous` one, which stays unless another is clearly better, or anywhere.
+    /// The best light in addition to `irradiance`: near the `previous` light, which moves only if another position is
+    /// clearly better; without a `previous` light, in any direction.
     fn best(&self, irradiance: &[[f32; 3]], previous: Option<&SplitLight>) -> Option<LightCandidate> {
         let mut best = match previous {
             Some(previous) => vec![self.candidates(irradiance, &[*previous]).pop()?],
@@ -158,7 +161,7 @@ impl<'a> LightSearch<'a> {
         best.into_iter().min_by(|a, b| a.variation.total_cmp(&b.variation))
     }
 
-    /// Moves `best` to near directions and radii that lower the variation by more than the share `least`.
+    /// Moves `best` to nearby directions and radii that lower the variation by more than the share `least`.
     fn refine(&self, irradiance: &[[f32; 3]], best: &mut LightCandidate, least: f32) {
         let limit = (1.0 - least) * best.variation;
         let take = |candidates: Vec<LightCandidate>, best: &mut LightCandidate| {
@@ -175,7 +178,7 @@ impl<'a> LightSearch<'a> {
         take(self.candidates(irradiance, &radii), best);
     }
 
-    /// `lights`, each at its best strength.
+    /// Evaluates `lights`, each at its best strength.
     fn candidates(&self, irradiance: &[[f32; 3]], lights: &[SplitLight]) -> Vec<LightCandidate> {
         let arriving: Vec<(SplitLight, Vec<f32>)> = lights
             .chunks(MAX_LIGHTS)
@@ -188,7 +191,8 @@ impl<'a> LightSearch<'a> {
         arriving.into_par_iter().map(|(light, shares)| self.evaluate(irradiance, light, shares)).collect()
     }
 
-    /// `light` at its best strength in each channel, when these `shares` of it arrive.
+    /// Evaluates `light` at its best strength in each channel. `shares` are the shares of it that arrive at the
+    /// Gaussians.
     fn evaluate(&self, irradiance: &[[f32; 3]], light: SplitLight, shares: Vec<f32>) -> LightCandidate {
         let cos = |n: &[f32; 3]| (0..3).map(|k| n[k] * light.direction[k]).sum::<f32>().max(0.0);
         let added = shares.iter().zip(&self.normals);
@@ -206,7 +210,7 @@ impl<'a> LightSearch<'a> {
         LightCandidate { light, strength, variation, irradiance }
     }
 
-    /// Variation of one channel with `strength * added` beside `irradiance`.
+    /// Variation of one channel with `strength * added` in addition to `irradiance`.
     fn variation(&self, irradiance: &[[f32; 3]], c: usize, added: &[[f32; 1]], strength: f32) -> f32 {
         let lit =
             irradiance.iter().zip(added).map(|(e, [a])| (e[c] + strength * a).max(MIN_LOG_ARGUMENT).ln());
@@ -214,7 +218,7 @@ impl<'a> LightSearch<'a> {
         self.neighbours.variation(&logs)
     }
 
-    /// What arrives of `light` through the visibility field.
+    /// Shares of `light` that arrive through the visibility field.
     fn soft_visibility(&self, light: SplitLight) -> Vec<f32> {
         let g = self.gaussians();
         let mut basis = [0.0f32; 64];
@@ -225,12 +229,12 @@ impl<'a> LightSearch<'a> {
     }
 }
 
-/// A light that is as small as is tried.
+/// A light of the smallest tested radius.
 fn point(direction: [f32; 3]) -> SplitLight {
     SplitLight { direction, radius: RADII[0] }
 }
 
-/// Six directions `angle` radians around one.
+/// Six directions `angle` radians around `direction`.
 fn around(direction: [f32; 3], angle: f32) -> [[f32; 3]; 6] {
     let z = glam::Vec3::from(direction);
     let (x, y) = z.any_orthonormal_pair();

@@ -4,27 +4,28 @@ use std::collections::HashMap;
 
 use relume_scene::{Field, Gaussians};
 
-/// Neighbours that each Gaussian is compared with.
+/// Number of neighbours with which each Gaussian is compared.
 const NEIGHBOUR_COUNT: usize = 6;
-/// Rounds of smoothing: the colour of a pixel is that of several Gaussians, and one alone says little.
+/// Rounds of smoothing. The colour of a pixel comes from several Gaussians, so the colour of a single Gaussian is
+/// unreliable.
 const ROUNDS: usize = 2;
 
-/// Each Gaussian with its nearest ones.
+/// Pairs of Gaussians and their nearest neighbours.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Neighbours {
-    /// Two indices, and the smaller weight of both.
+    /// Two indices and the smaller of their weights.
     pairs: Vec<(u32, u32, f32)>,
     /// Sum of the pairs' weights.
     total: f64,
-    /// By Gaussian.
+    /// Weight of each Gaussian.
     weights: Vec<f32>,
 }
 
 impl Neighbours {
-    /// Those among the Gaussians `used`, with `weights` of all.
+    /// Pairs among the Gaussians `used`; `weights` of all Gaussians.
     pub fn of(g: &Gaussians, used: &[u32], weights: &[f32]) -> Self {
         let mean = |i: u32| -> [f32; 3] { g.get(Field::Mean, i as usize) };
-        // Cells that hold a few Gaussians each where these lie on surfaces.
+        // Cells that contain a few Gaussians each if these lie on surfaces.
         let cell = 3.0 / (used.len().max(1) as f32).sqrt();
         let key = |p: [f32; 3]| p.map(|v| (v / cell).floor().clamp(-1e6, 1e6) as i32);
         let mut cells: HashMap<[i32; 3], Vec<u32>> = HashMap::new();
@@ -46,7 +47,7 @@ impl Neighbours {
         Self { pairs, total, weights: weights.to_vec() }
     }
 
-    /// Replaces values by weighted means with their neighbours'.
+    /// Replaces values by weighted means with those of their neighbours.
     pub fn smooth<const N: usize>(&self, values: &mut [[f32; N]]) {
         for _ in 0..ROUNDS {
             let own = values.iter().zip(&self.weights).map(|(v, w)| (v.map(|v| v * w), *w));
@@ -107,7 +108,7 @@ mod tests {
         let mut values: Vec<[f32; 1]> = (0..20).map(|i| [if i == 19 { 5.0 } else { 1.0 }]).collect();
         pairs.smooth(&mut values);
         assert!(values[..19].iter().all(|v| (v[0] - 1.0).abs() < 1e-6));
-        assert_eq!(values[19], [5.0], "not among those used");
+        assert_eq!(values[19], [5.0], "an unused Gaussian");
         let mut noise: Vec<[f32; 1]> = (0..20).map(|i| [(i % 2) as f32]).collect();
         pairs.smooth(&mut noise);
         assert!(noise[5..15].iter().all(|v| (v[0] - 0.5).abs() < 0.2), "{noise:?}");

@@ -1,4 +1,4 @@
-//! An environment that is being learned, divided between lights and the rest.
+//! Divides a learned environment between lights and the rest.
 
 use std::f32::consts::PI;
 
@@ -8,16 +8,16 @@ use crate::lights::detected_light::DetectedLight;
 use relume_engine::upward_share;
 use relume_scene::{LightSplit, MAX_LIGHTS, Model, SplitLight, softplus, softplus_inverse, texel_directions};
 
-/// Texels as near to a light as this, beyond its radius, belong to it, radians: a learned light is a blurred one.
+/// Greatest angle between a texel and the edge of the light to which it belongs, radians: a learned light is blurred.
 const REACH: f64 = 0.26;
 
-/// The environment of `width` x `height` texels divided between `lights` and the rest: a texel near to lights belongs to the
-/// nearest.
+/// Divides an environment of `width` x `height` texels between `lights` and the rest. A texel near lights belongs to
+/// the nearest.
 pub fn split(lights: &[SplitLight], width: usize, height: usize) -> LightSplit {
     if lights.is_empty() {
         return LightSplit::default();
     }
-    // A light has one texel at least.
+    // A light has at least one texel.
     let reach = REACH.max(std::f64::consts::PI / height as f64);
     let share = |texel: DVec3| {
         let mut out = [0.0; MAX_LIGHTS];
@@ -35,8 +35,8 @@ pub fn split(lights: &[SplitLight], width: usize, height: usize) -> LightSplit {
     LightSplit { lights: lights.to_vec(), shares }
 }
 
-/// Starts the light of `model` anew: an even sky and the lights of `split` in their strengths, sending together to a surface
-/// that faces up what the environment sends now.
+/// Restarts the light of `model`: a uniform sky and the lights of `split` with their strengths. A surface that faces
+/// up receives the same irradiance as before.
 pub fn start(model: &mut Model, split: &LightSplit, found: &[DetectedLight]) {
     let texels = texel_directions(model.env_width, model.env_height);
     let mut up = [0.0f32; 3];
@@ -112,7 +112,7 @@ mod tests {
         let sky = light[511][1];
         assert!((sent / (std::f32::consts::PI * sky) - 4.0).abs() < 0.05, "{sent} {sky}");
         start(&mut model, &LightSplit::default(), &[]);
-        assert!((up(&model) / before - 1.0).abs() < 0.05, "without a light it is an even sky");
+        assert!((up(&model) / before - 1.0).abs() < 0.05, "without lights the result is a uniform sky");
         assert!(model.env_raw.iter().all(|raw| *raw == model.env_raw[0]));
     }
 }

@@ -3,11 +3,11 @@ use relume_engine::ProbeSettings;
 use relume_engine::cpu::{Probes, srgb};
 use relume_scene::{LightSplit, Model, ShadingOptions};
 
-/// Towards the sun of the test scenes.
+/// Direction of the sun in the test scenes.
 const SUN: [f32; 3] = [0.48, 0.36, 0.8];
 
-/// A ground of flat Gaussians, closed from below, with a square plate above it, under a sky and a sun of `strength` times its irradiance whose
-/// shadow has a sharp edge; visibility is measured.
+/// A ground of flat Gaussians, closed from below, with a square plate above it, under a sky and a sun whose
+/// irradiance is `strength` times that of the sky and whose shadow has a sharp edge. Visibility is measured.
 fn plate(strength: f32) -> TrainState {
     const SIDE: i32 = 36;
     let mut points = Vec::new();
@@ -58,7 +58,7 @@ fn plate(strength: f32) -> TrainState {
     state
 }
 
-/// Pixels in which each Gaussian is seen: none from below.
+/// Number of pixels in which each Gaussian is visible: none for those below.
 fn from_above(state: &TrainState) -> Vec<f32> {
     let g = &state.model.gaussians;
     (0..g.len()).map(|i| if g.row(Field::Mean, i)[2] < 0.0 { 0.0 } else { 9.0 }).collect()
@@ -77,7 +77,7 @@ fn light_search_finds_the_sun_by_its_shadow_and_nothing_else() {
     assert!(angle(found[0].light.direction, SUN) < 0.05, "{found:?}");
     assert!(found[0].strength.iter().all(|s| (1.0..=4.0).contains(s)), "{found:?}");
     let even = plate(0.0);
-    assert!(search(&even, &seen, 1, &[]).is_empty(), "the control: a sky alone");
+    assert!(search(&even, &seen, 1, &[]).is_empty(), "the control: only a sky");
     assert!(search(&state, &seen, 0, &[]).is_empty());
 }
 

@@ -1,4 +1,4 @@
-//! The light behind a model in a picture.
+//! The environment as background of a frame.
 
 use rayon::prelude::*;
 
@@ -6,7 +6,8 @@ use relume_engine::Frame;
 use relume_scene::{Camera, EnvMap};
 use relume_spec::rendering::Output;
 
-/// Puts `environment` behind what `rgb` shows of a frame of `camera`, where the frame has that. Alpha stays what it was.
+/// Composites the `rgb` output of a frame of `camera` over `environment`, if the frame has that output. Alpha is
+/// unchanged.
 pub(super) fn show_environment(frame: &mut Frame, camera: &Camera, environment: &EnvMap) {
     let width = frame.width as usize;
     let Some(mut rgb) = frame.planes.remove(&Output::Rgb) else { return };

@@ -1,4 +1,4 @@
-//! A model under one light as colour alone, for programs that show splats and know no materials.
+//! Bakes a model under one light to colour, for splat programs without materials.
 
 use rayon::prelude::*;
 
@@ -10,14 +10,15 @@ use relume_scene::{Field, Model, VisibilityForm, sh_count};
 use relume_spec::rendering::MAX_BAKED_DEGREE;
 
 const MAX_COEFFICIENTS: usize = sh_count(MAX_BAKED_DEGREE);
-/// Directions in which each Gaussian is shaded.
+/// Number of directions in which each Gaussian is shaded.
 const DIRECTIONS: usize = 192;
-/// Weight of a direction from which a Gaussian is hidden, so that the fit stays determined.
+/// Weight of a direction in which a Gaussian is occluded, so that the fit stays determined.
 const MIN_WEIGHT: f64 = 0.02;
 
 impl Renderer {
-    /// The model with a radiance branch that shows it under `light`: for each Gaussian the harmonics of `degree` (at most
-    /// [`MAX_BAKED_DEGREE`]) nearest to its sRGB-encoded shaded colour, in the mean over the directions from which it is seen.
+    /// The model with a radiance branch that shows it under `light`. For each Gaussian, the SH of `degree` (at most
+    /// [`MAX_BAKED_DEGREE`]) approximate its sRGB-encoded shaded colour by least squares over the directions from
+    /// which it is visible.
     pub fn baked(&self, light: &PreparedLight, degree: usize) -> Model {
         let degree = degree.min(MAX_BAKED_DEGREE);
         let frames = self.frames.on_cpu();
@@ -61,7 +62,7 @@ fn fit(
     out.as_chunks_mut::<3>().0.iter_mut().zip(&right).for_each(|(o, r)| *o = r.map(|v| v as f32));
 }
 
-/// How open Gaussian `i` is towards `direction`, 0 to 1.
+/// Visibility of Gaussian `i` in `direction`, 0 to 1.
 fn seen_from(source: &AttributeSource<'_>, i: usize, direction: [f32; 3]) -> f64 {
     if source.options.visibility == VisibilityForm::Off {
         return 1.0;
@@ -76,8 +77,8 @@ fn seen_from(source: &AttributeSource<'_>, i: usize, direction: [f32; 3]) -> f64
     })
 }
 
-/// Solves `matrix x = right` for the first `count` unknowns into `right`, by Cholesky's method; the lower half of a symmetric
-/// positive `matrix` is read.
+/// Solves `matrix x = right` for the first `count` unknowns, by Cholesky's method, and writes the solution to
+/// `right`. Reads the lower triangle of a symmetric positive definite `matrix`.
 fn solve(
     matrix: &mut [[f64; MAX_COEFFICIENTS]; MAX_COEFFICIENTS],
     right: &mut [[f64; 3]; MAX_COEFFICIENTS],
@@ -111,7 +112,7 @@ mod tests {
     use relume_engine::cpu::srgb;
     use relume_scene::{EnvMap, Gaussians, IndirectForm, ShadingOptions};
 
-    /// One flat Gaussian of a reddish dielectric that nothing hides.
+    /// One flat Gaussian of a reddish dielectric, unoccluded.
     fn model() -> Model {
         let mut g = Gaussians::zeroed(1, 1, 1, 0);
         g.row_mut(Field::LogScale, 0).copy_from_slice(&[-2.0, -2.0, -5.0]);
@@ -136,7 +137,8 @@ mod tests {
         }
     }
 
-    /// Largest difference between the baked colour under an even light of radiance `baked` and the shaded one under `shaded`.
+    /// Largest difference between the baked colour under a uniform light of radiance `baked` and the shaded colour
+    /// under one of radiance `shaded`.
     fn baking_error(baked: f32, shaded: f32) -> f64 {
         let renderer = Renderer::new(Arc::new(model()));
         let light = |level: f32| renderer.prepare_light(&EnvMap::constant(16, 8, [level; 3])).unwrap();

@@ -1,34 +1,34 @@
-//! A frame in the making: rows of it at a time, so that what lies between model and frame takes bounded memory, and other
-//! frames can come in between.
+//! Renders a frame in bands of rows, so that intermediate data takes bounded memory, and so that other frames can be
+//! rendered in between.
 
 use std::collections::BTreeMap;
 
-use crate::render::cpu_frame_job::CpuFrameJob;
+use crate::render::Frame;
 use crate::render::error::RenderError;
 use crate::render::renderer::{PreparedLight, Renderer};
-use crate::render::{Frame, high, monte_carlo};
 use relume_engine::{DeviceError, FrameJob, RasterCamera, RayLight};
 use relume_layout::constants::TILE;
 use relume_scene::Camera;
 use relume_spec::rendering::{Output, Quality, Tier};
 
-/// A frame in the making, see [`Renderer::bands`].
+/// A frame that is being rendered, see [`Renderer::bands`].
 pub struct Bands<'a> {
     renderer: &'a Renderer,
     light: &'a PreparedLight,
     view: RasterCamera,
     quality: Quality,
-    /// Sorted, without repetition, coverage among them.
+    /// Sorted, without duplicates, including coverage.
     outputs: Vec<Output>,
     /// Rows of a band: whole tiles, so that no tile is blended twice.
     rows: usize,
-    /// Rows that are done.
+    /// Completed rows.
     done: usize,
     frame: Frame,
 }
 
 impl Renderer {
-    /// Renders `outputs` for a camera in capture coordinates, at a [`Tier`] or, with its samples and seed, a [`Quality`].
+    /// Renders `outputs` for a camera in capture coordinates, at a [`Tier`] or at a [`Quality`], which includes
+    /// samples and seed.
     ///
     /// # Errors
     /// Names the field (of the camera, or `samples`) that cannot be rendered.
@@ -44,7 +44,7 @@ impl Renderer {
         Ok(bands.into_frame())
     }
 
-    /// The same band by band, for a caller with something else to do in between. The frame is the same.
+    /// Renders the same frame band by band, for a caller that interleaves other work.
     ///
     /// # Errors
     /// As [`Self::render`].
@@ -74,10 +74,10 @@ impl Renderer {
 }
 
 impl Bands<'_> {
-    /// Renders the next band. False when the frame is complete.
+    /// Renders the next band. Returns false when the frame is complete.
     ///
     /// # Errors
-    /// When the device failed.
+    /// The device failed.
     pub fn render_next(&mut self) -> Result<bool, RenderError> {
         let first = self.done;
         let mut view = self.view;
@@ -99,12 +99,12 @@ impl Bands<'_> {
         Ok(self.done < self.view.height)
     }
 
-    /// The frame, as far as it is rendered.
+    /// The frame with the bands rendered so far.
     pub fn into_frame(self) -> Frame {
         self.frame
     }
 
-    /// The rows from `first` on that `view` sees.
+    /// Renders the rows from `first` on that `view` covers.
     fn render(&self, view: RasterCamera, first: usize) -> Result<Frame, RenderError> {
         let (renderer, light, quality) = (self.renderer, self.light, self.quality);
         let job = FrameJob {
@@ -115,21 +115,11 @@ impl Bands<'_> {
         };
         Ok(match quality.tier {
             Tier::Preview | Tier::Standard => renderer.frames.render(&job, &light.frame)?,
-            Tier::High | Tier::MonteCarlo if renderer.frames.has_device() => {
-                self.render_by_rays(&job, first)?
-            }
-            Tier::High => {
-                let split = light.split(renderer.model().gaussians.visibility_degree());
-                high::render(&self.on_cpu(job), split, renderer.occluders())
-            }
-            Tier::MonteCarlo => {
-                let (job, sampler) = (self.on_cpu(job), light.sampler());
-                monte_carlo::render(&job, sampler, renderer.occluders(), quality, pixels_before(&view, first))
-            }
+            Tier::High | Tier::MonteCarlo => self.render_by_rays(&job, first)?,
         })
     }
 
-    /// A band of the tiers that ask along rays, on the device.
+    /// Renders a band of a ray-traced tier on the device.
     fn render_by_rays(&self, job: &FrameJob<'_>, first: usize) -> Result<Frame, DeviceError> {
         let (frames, light, quality) = (&self.renderer.frames, self.light, self.quality);
         let rays = match quality.tier {
@@ -143,23 +133,18 @@ impl Bands<'_> {
         };
         match rays {
             Some(rays) => frames.render_by_rays(job, &light.frame, &rays),
-            // No light is sharp.
+            // Without sharp lights no rays are needed.
             None => frames.render(job, &light.frame),
         }
     }
-
-    fn on_cpu<'b>(&'b self, frame: FrameJob<'b>) -> CpuFrameJob<'b> {
-        let (cpu, light) = (self.renderer.frames.on_cpu(), self.renderer.light_on_cpu(self.light));
-        CpuFrameJob { source: cpu.lit_source(light), shader: cpu.shader(&light.tables), frame }
-    }
 }
 
-/// Pixels of a frame above row `first`.
+/// Number of pixels of a frame above row `first`.
 fn pixels_before(view: &RasterCamera, first: usize) -> u64 {
     (first * view.width) as u64
 }
 
-/// Rows of a band of a frame: as many as cost at most `most`, a row of tiles at least.
+/// Rows of a band: as many as cost at most `most`, at least one row of tiles.
 fn rows(width: usize, quality: Quality, most: u64) -> usize {
     let pixels = most / quality.pixel_cost();
     let rows = usize::try_from(pixels).unwrap_or(usize::MAX) / width.max(1);
@@ -176,7 +161,7 @@ mod tests {
     use relume_compare::rms_difference;
     use relume_scene::{EnvMap, Field, Gaussians, Model, ShadingOptions};
 
-    /// A slanted row of balls, which goes through every band.
+    /// A slanted row of balls that crosses every band.
     fn balls() -> Renderer {
         let mut gaussians = Gaussians::zeroed(9, 1, 2, 0);
         for i in 0..9 {
@@ -202,7 +187,7 @@ mod tests {
         }))
     }
 
-    /// Root of the mean squared difference of two planes, over that of the first from its mean.
+    /// Root mean square difference of two planes, relative to the standard deviation of the first.
     fn relative(a: &[f32], b: &[f32]) -> f64 {
         let mean = a.iter().map(|v| f64::from(*v)).sum::<f64>() / a.len() as f64;
         rms_difference(a, b) / rms_difference(a, &vec![mean; a.len()])

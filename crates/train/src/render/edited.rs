@@ -1,4 +1,4 @@
-//! A frame whose surfaces are edited before they are shaded.
+//! Renders a frame whose surfaces are edited before shading.
 
 use crate::render::{Frame, PreparedLight, RenderError, Renderer};
 use relume_engine::DeviceError;
@@ -9,8 +9,8 @@ use relume_scene::{Camera, Field, ShadeAt, ShadingOptions};
 use relume_spec::rendering::Output;
 
 impl Renderer {
-    /// Colour and alpha of a view, with `edit(shader, pixel, surface)` called on what each row-major pixel sees before it is
-    /// shaded as the standard tier does: what a layer is worth is found by putting the truth in its place.
+    /// Colour and alpha of a view. `edit(shader, pixel, surface)` is called for the surface of each row-major pixel
+    /// before it is shaded as in the standard tier, e.g. to replace a layer by ground truth.
     ///
     /// # Errors
     /// Names the camera field that cannot be rendered; [`DeviceError::Misuse`] for a renderer on a GPU.
@@ -23,12 +23,14 @@ impl Renderer {
         let view = self.view(camera)?;
         let cpu = self.frames.on_cpu();
         let Some(on_cpu) = light.frame.on_cpu() else {
-            return Err(DeviceError::Misuse("surfaces are edited on the CPU engine only".to_owned()).into());
+            return Err(
+                DeviceError::Misuse("surfaces can only be edited on the CPU engine".to_owned()).into()
+            );
         };
-        // Deferred whatever the model: what is edited is in the pixel.
+        // Shaded per pixel for every model, because the edited surface is that of the pixel.
         let options = ShadingOptions { shade_at: ShadeAt::Pixel, ..self.model().shading };
         let source = cpu.lit_source(on_cpu);
-        // No light is shaded by itself in the pixel.
+        // The tables include all lights, so no light is shaded separately.
         let tables = light.whole_tables(on_cpu, self.model().gaussians.visibility_degree());
         let shader = SurfaceShader { options: &options, ..cpu.shader(tables) };
         let coefficients = source.gaussians.width(Field::Visibility);

@@ -1,4 +1,4 @@
-//! Frames as image files.
+//! Encodes frames as image files.
 
 use std::borrow::Cow;
 
@@ -16,20 +16,23 @@ const JPEG_QUALITY: u8 = 90;
 /// An encoded frame.
 #[derive(Debug)]
 pub struct EncodedFrame {
-    /// The file.
+    /// The bytes of the file.
     pub bytes: Vec<u8>,
-    /// For a depth PNG: the depths of levels 0 and 65,534, capture units; 65,535 is "nothing there".
+    /// For a depth PNG: the depths of levels 0 and 65,534, capture units; level 65,535 means no surface.
     pub depth_range: Option<[f32; 2]>,
 }
 
 /// Encodes a frame.
 ///
-/// - Colours (`rgb`, `albedo`, `diffuse`, `specular`, `radiance`): tone curve (albedo: sRGB), 8 bit, straight alpha; 16 bit
-///   with [`ToneCurve::Linear`]. A background colour is blended on the display.
+/// - Colours (`rgb`, `albedo`, `diffuse`, `specular`, `radiance`): tone curve (albedo: sRGB), 8 bit, straight alpha;
+///   16 bit with [`ToneCurve::Linear`]. A background colour is blended in display values.
 /// - `normal`: 16 bit, `(n + 1) / 2`. `metallic`, `roughness`, `visibility`, `alpha`: 8-bit grey, linear.
 /// - `depth`: 16-bit grey, linear between the nearest and farthest depth of the frame.
-/// - EXR: linear, colours in part `beauty` (`rgb` with alpha as `RGBA`), premultiplied unless [`EncodeOptions::alpha`] says otherwise,
-///   everything else in part `data`, 32-bit floats.
+/// - EXR: linear. Colours in part `beauty` (`rgb` with alpha as `RGBA`), premultiplied unless
+///   [`EncodeOptions::alpha`] specifies otherwise; all other outputs in part `data`. 32-bit floats.
+///
+/// # Errors
+/// If the frame lacks an output, or the encoder fails.
 ///
 /// # Errors
 /// When the frame lacks an output, or the encoder fails.
@@ -42,10 +45,10 @@ pub fn encode_frame(
     encode_wanted_frame(frame, outputs, format, options, &|| true)
 }
 
-/// The same, for a caller who may go away: an EXR, the one format that takes long, ends early once `is_wanted` says no.
+/// As [`encode_frame`]. Encoding an EXR, the only slow format, stops early once `is_wanted` returns false.
 ///
 /// # Errors
-/// As [`encode_frame`], and when the file is not wanted any more.
+/// As [`encode_frame`], and if `is_wanted` returned false.
 pub fn encode_wanted_frame(
     frame: &Frame,
     outputs: &[Output],
@@ -94,12 +97,12 @@ fn plane(frame: &Frame, output: Output) -> Result<&[f32], ImageFileError> {
     plane.ok_or_else(|| ImageFileError::Encode(format!("the frame lacks {output:?}")))
 }
 
-/// A number of levels that a channel has.
+/// The integer type of a channel.
 trait ChannelLevel: Copy {
     /// The level nearest to a value in [0, 1].
     fn nearest(value: f32) -> Self;
 
-    /// The levels of a colour under a curve.
+    /// The levels of a colour with tone curve `curve`.
     fn shown(colour: [f32; 3], curve: ToneCurve) -> [Self; 3] {
         curve.apply(colour).map(Self::nearest)
     }
@@ -132,7 +135,7 @@ fn colour<L: ChannelLevel>(
 ) -> Result<Vec<[L; 4]>, ImageFileError> {
     let alpha = plane(frame, Output::Alpha)?;
     let pixels = plane(frame, output)?.as_chunks::<3>().0;
-    // Albedo is the one colour that is not premultiplied, and the one that no light makes brighter than 1.
+    // Albedo is the only colour that is not premultiplied, and the only one that never exceeds 1.
     let curve = match (output, options.tone_curve) {
         (Output::Albedo, ToneCurve::Neutral | ToneCurve::Agx) => ToneCurve::Srgb,
         (_, curve) => curve,
@@ -153,7 +156,7 @@ fn colour<L: ChannelLevel>(
     Ok(pixels.iter().zip(alpha).map(pixel).collect())
 }
 
-/// How much of a pixel a colour covers.
+/// Coverage of a pixel for `output`.
 fn coverage(alpha: f32, output: Output, options: &EncodeOptions) -> f32 {
     match (output, options.background) {
         (Output::Rgb, Background::Environment) => 1.0,
@@ -161,18 +164,18 @@ fn coverage(alpha: f32, output: Output, options: &EncodeOptions) -> f32 {
     }
 }
 
-/// A colour over another: of display values, as browsers blend.
+/// Composites one colour over another in display values, as browsers do.
 fn over(shown: [f32; 3], alpha: f32, behind: [f32; 3]) -> [f32; 3] {
     std::array::from_fn(|k| shown[k] * alpha + behind[k] * (1.0 - alpha))
 }
 
-/// A display colour among the values of a curve.
+/// A display colour in the values of `curve`.
 fn shown_as(colour: [u8; 3], curve: ToneCurve) -> [f32; 3] {
     let display = colour.map(|v| f32::from(v) / 255.0);
     if curve == ToneCurve::Linear { display.map(srgb::decode) } else { display }
 }
 
-/// Colours and measurements in parts of their own.
+/// Encodes an EXR with colours and measurements in separate parts.
 fn exr(
     frame: &Frame,
     outputs: &[Output],
@@ -205,7 +208,7 @@ fn exr(
     exr_frame::encode_while(&layers, options.colour_depth.unwrap_or(ColourDepth::Full), is_wanted)
 }
 
-/// The names compositing tools expect.
+/// Layer names and channel suffixes that compositing tools expect.
 fn layer_name(output: Output) -> (&'static str, &'static str) {
     match output {
         Output::Rgb => ("", "RGB"),
@@ -222,7 +225,7 @@ fn layer_name(output: Output) -> (&'static str, &'static str) {
     }
 }
 
-/// A colour output in the primaries and the alpha mode of `options`.
+/// A colour output in the primaries and alpha mode of `options`.
 fn scene_referred<'a>(
     rgb: &'a [f32],
     alpha: &[f32],
@@ -237,7 +240,7 @@ fn scene_referred<'a>(
     let mut values = Vec::with_capacity(rgb.len());
     for (&colour, &alpha) in rgb.as_chunks::<3>().0.iter().zip(alpha) {
         let alpha = coverage(alpha, output, options);
-        // Base colour is the one that is not premultiplied as rendered.
+        // Albedo is rendered without premultiplication.
         let colour = if output == Output::Albedo { colour } else { mode.of_premultiplied(colour, alpha) };
         values.extend(primaries.from_rec709(colour));
     }
@@ -249,7 +252,7 @@ fn over_white(pixels: &[[u8; 4]]) -> Vec<[u8; 3]> {
     pixels.iter().map(|&[r, g, b, a]| [blend(r, a), blend(g, a), blend(b, a)]).collect()
 }
 
-/// Finite depths spread over 0 to 65,534; 65,535 where nothing is.
+/// Finite depths mapped linearly to 0 to 65,534; 65,535 without a surface.
 fn depth_levels(values: &[f32]) -> (Vec<[u16; 1]>, [f32; 2]) {
     let there = |v: &&f32| v.is_finite() && **v > 0.0;
     let near = values.iter().filter(there).copied().reduce(f32::min).unwrap_or(0.0);
@@ -291,7 +294,7 @@ mod tests {
         assert!(names.iter().all(|name| text.contains(name)) && !text.contains("albedo"));
         assert!(
             encode_frame(&frame, &[Output::Albedo], FrameFormat::Exr, &EncodeOptions::default()).is_err(),
-            "what is not there is not made up"
+            "a missing output is an error"
         );
     }
 
@@ -325,7 +328,7 @@ mod tests {
             |background| colour::<u8>(&frame, Output::Rgb, &with(background, ToneCurve::Srgb)).unwrap()[0];
         assert_eq!(shown(Background::Transparent), [188, 188, 188, 128]);
         assert_eq!(shown(Background::Colour([0, 100, 255])), [94, 144, 221, 255]);
-        // The light behind is in the frame already.
+        // The frame already includes the environment.
         assert_eq!(shown(Background::Environment), [137, 137, 137, 255]);
         let linear = with(Background::Colour([128; 3]), ToneCurve::Linear);
         let half_of_both = (0.5 * 0.5 + 0.5 * srgb::decode(128.0 / 255.0)) * 65535.0;

@@ -1,4 +1,4 @@
-//! How a frame becomes a file.
+//! Options for encoding a frame.
 
 use crate::render::FrameMetadata;
 use crate::render::error::RenderError;
@@ -6,26 +6,26 @@ use relume_spec::rendering::{
     AlphaMode, Background, ColourDepth, FrameFormat, Output, Primaries, ToneCurve, is_colour,
 };
 
-/// How a frame becomes a file.
+/// Options for encoding a frame.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct EncodeOptions {
-    /// What stands behind the model. For [`Background::Environment`] the frame brings it
+    /// Background of the model. For [`Background::Environment`] the frame must already include it
     /// ([`Renderer::show_environment`](crate::render::Renderer::show_environment)).
     pub background: Background,
-    /// How colours other than albedo come to a display; an EXR is scene-referred.
+    /// Tone curve of colours other than albedo. EXR is scene-referred.
     pub tone_curve: ToneCurve,
-    /// How an EXR stores colours; 32-bit floats when absent.
+    /// Sample type of the colours of an EXR; `None` for 32-bit floats.
     pub colour_depth: Option<ColourDepth>,
-    /// Whether the colours of an EXR are multiplied with alpha; those of a PNG are not.
+    /// Alpha mode of the colours of an EXR. PNG always has straight alpha.
     pub alpha: Option<AlphaMode>,
-    /// The primaries of an EXR's colours; other files are sRGB.
+    /// Primaries of the colours of an EXR. Other formats are sRGB.
     pub primaries: Option<Primaries>,
-    /// What an EXR says of how it was made.
+    /// Metadata of an EXR.
     pub frame_metadata: FrameMetadata,
 }
 
 impl EncodeOptions {
-    /// Refuses what a file of `format` cannot show.
+    /// Refuses options that a file of `format` does not support.
     ///
     /// # Errors
     /// Names the field of this type.
@@ -34,7 +34,7 @@ impl EncodeOptions {
         let refuse = |field, reason: &str| Err(RenderError::Refused { field, reason: reason.to_owned() });
         match (self.background, format) {
             (Background::Colour(_), Exr) => {
-                return refuse("background", "is a display colour; an EXR is scene-referred");
+                return refuse("background", "a colour is display-referred, but EXR is scene-referred");
             }
             (Background::Colour(_), _) if !outputs.iter().any(|o| is_colour(*o)) => {
                 return refuse(

@@ -1,8 +1,8 @@
-//! Why there is no frame.
+//! Errors of rendering.
 
 use relume_engine::DeviceError;
 
-/// Why there is no frame.
+/// Errors of rendering.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RenderError {
     /// The request cannot be rendered.

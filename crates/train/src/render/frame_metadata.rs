@@ -1,30 +1,30 @@
-//! What a picture file says of how it was made.
+//! Metadata of an image file about its rendering.
 
 use relume_capture::formats::exr_frame::{ExrLens, FrameAttributes};
 use relume_scene::Camera;
 use relume_spec::rendering::{AlphaMode, Background, Quality, Tier};
 
-/// What a picture file says of how it was made.
+/// Metadata of an image file about its rendering.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FrameMetadata {
-    /// Names the model.
+    /// Name of the model.
     pub model: String,
-    /// Names the light's content.
+    /// Identifies the content of the light.
     pub light: String,
-    /// Turn of the light about +Z, degrees counter-clockwise.
+    /// Rotation of the light about +Z, degrees counter-clockwise.
     pub rotation_deg: f64,
     /// Exposure of the light, stops.
     pub exposure_ev: f64,
-    /// How it was rendered.
+    /// Quality of the rendering.
     pub quality: Quality,
-    /// From where, capture units.
+    /// The camera, capture units.
     pub camera: Option<Camera>,
-    /// Frames a second of the sequence that it belongs to.
+    /// Frame rate of the sequence that the frame belongs to, frames per second.
     pub frames_per_second: Option<u32>,
 }
 
 impl FrameMetadata {
-    /// As attributes of an EXR.
+    /// The metadata as EXR attributes.
     pub(super) fn attributes(&self, background: Background, alpha: AlphaMode) -> FrameAttributes {
         let Quality { tier, samples, seed } = self.quality;
         let mut texts = vec![
@@ -37,7 +37,7 @@ impl FrameMetadata {
             ("relume:alpha", alpha.note().to_owned()),
         ];
         if tier == Tier::MonteCarlo {
-            texts.push(("relume:samples", format!("{samples} of seed {seed}")));
+            texts.push(("relume:samples", format!("{samples}, seed {seed}")));
         }
         texts.retain(|(_, text)| !text.is_empty());
         let frames_per_second = self.frames_per_second;
@@ -51,11 +51,11 @@ impl FrameMetadata {
     }
 }
 
-/// A camera by the standard attributes; none where they cannot hold its numbers.
+/// A camera as standard attributes; `None` if its values are outside their range.
 fn lens(camera: &Camera) -> Option<ExrLens> {
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let lens = ExrLens {
-        // OpenEXR multiplies rows with matrices: its rows are the columns of ours.
+        // OpenEXR multiplies row vectors with matrices: its rows are glam's columns.
         world_to_camera: camera.to_opengl().inverse().to_cols_array().map(|v| v as f32),
         window_width: (width / camera.fx) as f32,
         window_centre: [
@@ -90,7 +90,7 @@ mod tests {
         for (x, y) in [(0, 0), (199, 99), (40, 70)] {
             let point = (eye + camera.ray(x, y) * 2.5).as_vec3();
             let p = rows.iter().zip([point.x, point.y, point.z, 1.0]).map(|(row, v)| *row * v).sum::<Vec4>();
-            // On the screen at distance 1, y up, from the window's left and top.
+            // On the screen at distance 1, y up, relative to the window's centre.
             let (u, v) = (p.x / -p.z - lens.window_centre[0], p.y / -p.z - lens.window_centre[1]);
             let column = (u / lens.window_width + 0.5) * 200.0;
             let row = (0.5 - v / (lens.window_width * 0.5 / lens.pixel_aspect)) * 100.0;

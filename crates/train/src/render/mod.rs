@@ -1,18 +1,15 @@
-//! A camera and a light in, a frame out.
+//! Rendering of models: frames for a camera and a light, image files, splat files and meshes.
 
 mod background;
 mod baked;
 mod bands;
-mod cpu_frame_job;
-mod direct;
 mod edited;
 mod encode;
 mod encode_options;
 mod error;
 mod frame_metadata;
-mod high;
+mod high_tier_light;
 mod mesh;
-mod monte_carlo;
 mod renderer;
 mod sequence;
 mod splat_file;

@@ -1,24 +1,25 @@
-//! The renderer a service keeps per model.
+//! The renderer of one model.
 
 use std::sync::{Arc, OnceLock};
 
+use crate::render::Frame;
 use crate::render::background;
 use crate::render::error::RenderError;
-use crate::render::high::HighTierLight;
-use crate::render::{Frame, monte_carlo};
+use crate::render::high_tier_light::HighTierLight;
 use relume_engine::cpu::{CpuFrameLight as CpuLight, OccluderBvh};
 use relume_engine::{ColourMode, Device, DeviceError, FrameLight, FrameRenderer, RasterCamera};
+use relume_scene::light::map_rows::SAMPLED_ROWS;
 use relume_scene::light::{EnvSampler, LightTables, rendering_tables};
 use relume_scene::{Camera, Illumination, Model, ShadeAt};
 use relume_spec::rendering::{Output, Tier};
 
-/// Most pixels of a frame.
+/// Greatest number of pixels of a frame.
 const MAX_PIXELS: u64 = 64 << 20;
 
-/// An environment turned into what a model is shaded with; costs a second at most, keep it. Belongs to the renderer
-/// that prepared it. What only some tiers need is made when the first of them asks.
+/// An environment prepared for shading a model. Preparation takes up to a second, so keep the result. It belongs to
+/// the renderer that prepared it. Data for only some tiers is computed on first use.
 pub struct PreparedLight {
-    /// The light itself; its map has at most the rows that the Monte-Carlo tier uses.
+    /// The light; its map has at most the rows that the Monte-Carlo tier uses.
     pub(super) source: Illumination,
     pub(super) frame: FrameLight,
     split: OnceLock<HighTierLight>,
@@ -27,17 +28,17 @@ pub struct PreparedLight {
 }
 
 impl PreparedLight {
-    /// The environment with its dominant lights taken out, for visibility fields of degree `sh_degree`.
+    /// The environment split into its dominant lights and the rest, for visibility fields of degree `sh_degree`.
     pub(super) fn split(&self, sh_degree: usize) -> &HighTierLight {
         self.split.get_or_init(|| HighTierLight::new(&self.source.environment, sh_degree))
     }
 
-    /// What draws directions by the environment's radiance.
+    /// A sampler of directions by the environment's radiance.
     pub(super) fn sampler(&self) -> &EnvSampler {
         self.sampler.get_or_init(|| EnvSampler::new(self.source.environment.clone()))
     }
 
-    /// Tables of the environment with no lights beside them, for visibility fields of degree `sh_degree`.
+    /// Tables of the environment including its lights, for visibility fields of degree `sh_degree`.
     pub(super) fn whole_tables<'a>(&'a self, on_cpu: &'a CpuLight, sh_degree: usize) -> &'a LightTables {
         match on_cpu.tables.lights.is_empty() {
             true => &on_cpu.tables,
@@ -46,21 +47,21 @@ impl PreparedLight {
     }
 }
 
-/// A model ready to be rendered many times. Shared between threads.
+/// A model prepared for rendering; may be shared between threads.
 pub struct Renderer {
     pub(super) frames: FrameRenderer,
 }
 
 impl Renderer {
-    /// Takes a checked model in, to be rendered on the CPU engine.
+    /// A renderer of a checked model on the CPU engine.
     pub fn new(model: Arc<Model>) -> Self {
         Self { frames: FrameRenderer::on_cpu_only(model) }
     }
 
-    /// Takes a checked model in, to be rendered on `device`.
+    /// A renderer of a checked model on `device`.
     ///
     /// # Errors
-    /// When the device cannot hold the model.
+    /// If the device cannot hold the model.
     pub fn on(model: Arc<Model>, device: &Device) -> Result<Self, DeviceError> {
         Ok(Self { frames: device.frames(model)? })
     }
@@ -70,16 +71,16 @@ impl Renderer {
         self.frames.model()
     }
 
-    /// Makes a light ready for this model, light that bounces between its surfaces included: an environment map, or
+    /// Prepares a light for this model, including light that bounces between its surfaces: an environment map, or
     /// [`Model::recovered_light`].
     ///
     /// # Errors
-    /// When the device failed.
+    /// If the device failed.
     pub fn prepare_light(&self, light: impl Into<Illumination>) -> Result<PreparedLight, DeviceError> {
         let source = light.into();
         let frame = self.frames.prepare_light(&source)?;
         Ok(PreparedLight {
-            source: source.with_at_most_rows(monte_carlo::MAX_ROWS),
+            source: source.with_at_most_rows(SAMPLED_ROWS),
             frame,
             split: OnceLock::new(),
             sampler: OnceLock::new(),
@@ -87,17 +88,17 @@ impl Renderer {
         })
     }
 
-    /// What hides what, as the Monte-Carlo tier asks it.
+    /// The occluders of the model, for rays of the ray-traced tiers.
     pub fn occluders(&self) -> &OccluderBvh {
         self.frames.on_cpu().occluders()
     }
 
-    /// Puts the light behind what `rgb` shows of a frame of `camera`.
+    /// Composites the `rgb` output of a frame of `camera` over the light.
     pub fn show_environment(&self, frame: &mut Frame, camera: &Camera, light: &PreparedLight) {
         background::show_environment(frame, camera, &light.source.environment);
     }
 
-    /// Where Gaussians are shaded, colour alone needs no G-buffer; anything else does, in every tier.
+    /// Whether colour needs a G-buffer: not if the Gaussians are shaded and only colour is requested.
     pub(super) fn colour(&self, tier: Tier, outputs: &[Output]) -> ColourMode {
         let at_gaussians = match tier {
             Tier::Preview => true,
@@ -114,7 +115,7 @@ impl Renderer {
         self.frames.light_on_cpu(&light.frame, &light.source)
     }
 
-    /// `camera` as the engines want it.
+    /// `camera` in the form that the engines use.
     pub(super) fn view(&self, camera: &Camera) -> Result<RasterCamera, RenderError> {
         let checked =
             camera.validated().map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;

@@ -1,37 +1,37 @@
-//! Sequences of frames: a camera and a turn of the light for each.
+//! Frame sequences: a camera and a rotation of the light for each frame.
 
 use crate::render::viewpoint::{Orbit, Viewpoint};
 use relume_scene::{Camera, CameraError, Model};
 
-/// What a frame of a sequence shows.
+/// Camera and light rotation of a frame in a sequence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameView {
-    /// From where, capture units.
+    /// The camera, capture units.
     pub camera: Camera,
-    /// Turn of the light about +Z beside what holds for all frames, degrees counter-clockwise.
+    /// Rotation of the light about +Z in addition to the rotation common to all frames, degrees counter-clockwise.
     pub light_rotation_deg: f64,
 }
 
 /// Cameras on a circle around a model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Turntable {
-    /// How many.
+    /// Number of frames.
     pub frames: u32,
-    /// Where the first one stands, as in [`Orbit::azimuth_deg`].
+    /// Azimuth of the first camera, as in [`Orbit::azimuth_deg`].
     pub azimuth_deg: Option<f64>,
-    /// How high they stand, as in [`Orbit::elevation_deg`].
+    /// Elevation of the cameras, as in [`Orbit::elevation_deg`].
     pub elevation_deg: Option<f64>,
-    /// How far the camera turns from the first frame to after the last, degrees counter-clockwise.
+    /// Rotation of the camera from the first frame to the one after the last, degrees counter-clockwise.
     pub camera_turn_deg: f64,
     /// Width and height, pixels.
     pub size: (u32, u32),
 }
 
 impl Turntable {
-    /// The views of `model`, in their order; the light stands still.
+    /// The views of `model`, in order, without rotation of the light.
     ///
     /// # Errors
-    /// Names the field that does not make a camera.
+    /// Names the field that gives no valid camera.
     pub fn views(&self, model: &Model) -> Result<Vec<FrameView>, CameraError> {
         let side = self.size.0.min(self.size.1);
         let start = Orbit { azimuth_deg: self.azimuth_deg, elevation_deg: self.elevation_deg, size: side };
@@ -45,10 +45,10 @@ impl Turntable {
     }
 }
 
-/// A camera around a model, as [`Orbit`] has it. A picture that is not square shows more along its longer side.
+/// A camera around a model, as specified by [`Orbit`]. An image that is not square shows more along its longer side.
 ///
 /// # Errors
-/// Names the field that does not make a camera.
+/// Names the field that gives no valid camera.
 pub fn orbit_camera(
     model: &Model,
     azimuth_deg: Option<f64>,
@@ -60,7 +60,8 @@ pub fn orbit_camera(
     Ok(Camera { width, height, cx: 0.5 * f64::from(width), cy: 0.5 * f64::from(height), ..camera })
 }
 
-/// Turns the light by `turn_deg` from the first view to after the last, beside how it stands in each.
+/// Rotates the light by `turn_deg` from the first view to the one after the last, in addition to the rotation of each
+/// view.
 pub fn rotate_light(views: &mut [FrameView], turn_deg: f64) {
     let frames = views.len() as f64;
     for (i, view) in views.iter_mut().enumerate() {
@@ -68,10 +69,10 @@ pub fn rotate_light(views: &mut [FrameView], turn_deg: f64) {
     }
 }
 
-/// Views at another size.
+/// Resizes the views.
 ///
 /// # Errors
-/// The index of the first view that this size would stretch by more than a hundredth, and why.
+/// The index of the first view whose aspect ratio would change by more than 1 %, and the reason.
 pub fn resized(
     views: Vec<FrameView>,
     (width, height): (u32, u32),
@@ -80,7 +81,7 @@ pub fn resized(
         let Camera { width: w, height: h, .. } = view.camera;
         let aspects = [(w, h), (width, height)].map(|(w, h)| f64::from(w) / f64::from(h));
         if (aspects[0] / aspects[1] - 1.0).abs() > 0.01 {
-            return Err((i, format!("is of {w}x{h}, which {width}x{height} would stretch")));
+            return Err((i, format!("has {w}x{h} pixels, another aspect ratio than {width}x{height}")));
         }
         Ok(FrameView { camera: view.camera.resized(width, height), ..view })
     };

@@ -1,4 +1,5 @@
-//! A model as a file of other programs: Gaussians with one colour, with their materials beside it where the format has a place.
+//! Exports a model to the file formats of other programs: Gaussians with one colour, and their materials if the
+//! format supports them.
 
 use std::sync::Arc;
 
@@ -12,7 +13,7 @@ use relume_engine::DeviceError;
 use relume_scene::{Illumination, Model};
 use relume_spec::rendering::ExportedColour;
 
-/// The layer of the surface that `shown` is, if it is one.
+/// The surface property that `shown` selects; `None` for radiance and relit colour.
 fn layer(shown: ExportedColour) -> Option<Layer> {
     match shown {
         ExportedColour::Radiance | ExportedColour::Relit => None,
@@ -23,7 +24,7 @@ fn layer(shown: ExportedColour) -> Option<Layer> {
     }
 }
 
-/// A kind of file.
+/// A file format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SplatFile {
     /// PLY as splat viewers read it.
@@ -34,17 +35,17 @@ pub enum SplatFile {
     Usda,
     /// OpenUSD in a package.
     Usdz,
-    /// The light of the photographs alone, a Radiance map.
+    /// A Radiance map with only the light of the photographs.
     Hdr,
 }
 
-/// Why there is no file.
+/// Errors of an export.
 #[derive(Debug, thiserror::Error)]
 pub enum SplatFileError {
     /// The glTF would be too large.
     #[error(transparent)]
     Gltf(#[from] gltf::GltfTooLarge),
-    /// The package of a USD could not be made.
+    /// The USD package could not be written.
     #[error(transparent)]
     Package(#[from] zip::result::ZipError),
     /// The light could not be encoded.
@@ -57,12 +58,12 @@ pub enum SplatFileError {
 
 /// Encodes a model.
 ///
-/// Without `shown` the colour is the radiance and a PLY has the materials as well; with it, or of a model without materials, a PLY is
-/// an ordinary file of splats. For [`ExportedColour::Relit`] the model is one that [`relit`] made. With `flatten` each Gaussian is turned
-/// until its shortest axis is its shading normal.
+/// Without `shown`, the colour is the radiance and a PLY includes the materials. With `shown`, and for a model
+/// without materials, a PLY is an ordinary splat file. For [`ExportedColour::Relit`] the model must come from
+/// [`relit`]. With `flatten`, each Gaussian is rotated until its shortest axis is its shading normal.
 ///
 /// # Errors
-/// When the file would be too large for its format.
+/// If the file would be too large for its format.
 pub fn encode_splat_file(
     model: &Model,
     file: SplatFile,
@@ -90,20 +91,21 @@ pub fn encode_splat_file(
     })
 }
 
-/// The model with the colours it has under `light`, as harmonics of `degree` (at most [`relume_spec::rendering::MAX_BAKED_DEGREE`]).
+/// The model with its colours under `light`, as SH of `degree` (at most
+/// [`relume_spec::rendering::MAX_BAKED_DEGREE`]).
 ///
 /// # Errors
-/// When the light cannot be prepared.
+/// If the light cannot be prepared.
 pub fn relit(model: Model, light: impl Into<Illumination>, degree: usize) -> Result<Model, DeviceError> {
     let renderer = Renderer::new(Arc::new(model));
     let light = renderer.prepare_light(light)?;
     Ok(renderer.baked(&light, degree))
 }
 
-/// The surface of a model as a glTF file of triangles with textures; `cells` as in [`MeshOptions`].
+/// The surface of a model as a glTF file of textured triangles; `cells` as in [`MeshOptions`].
 ///
 /// # Errors
-/// When there is no surface, `cells` are out of range, or the file would be too large.
+/// If the model has no surface, `cells` is out of range, or the file would be too large.
 pub fn encode_mesh_file(model: Model, cells: usize) -> Result<Vec<u8>, SplatFileError> {
     let options = MeshOptions { cells, ..MeshOptions::default() };
     let mesh = Renderer::new(Arc::new(model)).mesh(options)?;

@@ -1,4 +1,4 @@
-//! Where a model is seen from.
+//! Viewpoints of a model.
 
 use glam::DVec3;
 
@@ -6,12 +6,12 @@ use relume_scene::{Camera, CameraError, Framing, Model};
 
 /// Vertical field of view of an orbiting camera, degrees.
 const ORBIT_FOV_DEG: f64 = 40.0;
-/// Its elevation when none is stated, degrees.
+/// Default elevation of an orbiting camera, degrees.
 const ORBIT_ELEVATION_DEG: f64 = 20.0;
-/// Radius of what an orbiting camera frames, in the model's normalised units: the unit ball and a margin.
+/// Radius of the ball that an orbiting camera frames, in the model's normalised units: the unit ball and a margin.
 const ORBIT_RADIUS: f64 = 1.1;
 
-/// A camera, or a rule that makes one for a model.
+/// A camera, or a rule that gives one for a model.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Viewpoint {
     /// A camera in capture coordinates.
@@ -20,12 +20,14 @@ pub enum Viewpoint {
     Orbit(Orbit),
 }
 
-/// A square view of the whole model from a direction. Of a capture without masks, from where its photographs were taken.
+/// A square view of the whole model from a direction. For a capture without masks, the default direction and distance
+/// are those of the photographs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Orbit {
-    /// Degrees counter-clockwise seen from above; 0 looks along -x from the +x side. When absent 0, or that of the model's framing.
+    /// Degrees counter-clockwise seen from above; at 0 the camera is on the +x side and looks along -x. `None`: 0, or
+    /// that of the model's framing.
     pub azimuth_deg: Option<f64>,
-    /// Degrees above the horizon, -90 to 90. When absent 20, or that of the model's framing.
+    /// Degrees above the horizon, -90 to 90. `None`: 20, or that of the model's framing.
     pub elevation_deg: Option<f64>,
     /// Side of the image, pixels.
     pub size: u32,
@@ -35,7 +37,7 @@ impl Viewpoint {
     /// The camera for `model`.
     ///
     /// # Errors
-    /// Names the field that does not make a camera.
+    /// Names the field that gives no valid camera.
     pub fn camera(&self, model: &Model) -> Result<Camera, CameraError> {
         match self {
             Self::Camera(camera) => Ok(*camera),
@@ -45,7 +47,7 @@ impl Viewpoint {
 }
 
 impl Orbit {
-    /// The stated azimuth, else that from which `model` is shown, degrees.
+    /// The specified azimuth, else the default for `model`, degrees.
     pub fn azimuth_of(&self, model: &Model) -> f64 {
         let framing = model.framing.unwrap_or_else(|| around(model));
         let away = framing.eye - framing.target;
@@ -64,12 +66,12 @@ impl Orbit {
     }
 }
 
-/// The view that shows `model` when nobody says from where.
+/// The default view of `model`.
 pub(super) fn framing(model: &Model) -> Framing {
     model.framing.unwrap_or_else(|| around(model))
 }
 
-/// A view of the whole unit ball.
+/// A view of the complete unit ball.
 fn around(model: &Model) -> Framing {
     let distance = ORBIT_RADIUS / (0.5 * ORBIT_FOV_DEG.to_radians()).sin() / model.world_scale;
     let target = -model.world_offset;

@@ -1,4 +1,4 @@
-//! The card of a model: what it was trained from, and what was found out on the way.
+//! The model card: the inputs and findings of a training.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use relume_scene::light::LightColour;
 use relume_scene::{Model, SplitLight};
 
 impl Trainer {
-    /// The model as it is now, with its card.
+    /// The current model with its card.
     ///
     /// # Errors
     /// [`TrainError::Device`] when the device failed.
@@ -33,7 +33,7 @@ impl Trainer {
         Ok(model)
     }
 
-    /// What was found out about the light.
+    /// Findings about the light.
     fn light_card(&self, model: &Model) -> serde_json::Value {
         let of = |(k, light): (usize, &SplitLight)| {
             serde_json::json!({
@@ -50,14 +50,14 @@ impl Trainer {
         })
     }
 
-    /// The region that was cut out, in units and axes of the capture; null where nothing was.
+    /// The region of the crop, in units and axes of the capture; null without a crop.
     fn crop_card(&self) -> serde_json::Value {
         let Some(cut) = &self.schedule.cut else { return serde_json::Value::Null };
         let capture = self.capture_region(&cut.region);
         serde_json::json!({ "ball": capture, "is_on_ground": cut.region.ground.is_some() })
     }
 
-    /// What photographs were divided by in all, by name, and how much that differs; null where nothing was.
+    /// Total gains by which photographs were divided, by name, and their spread; null without corrections.
     fn exposures_card(&self) -> serde_json::Value {
         let mut rounds = self.schedule.gains.iter();
         let Some(mut all) = rounds.next().cloned() else { return serde_json::Value::Null };

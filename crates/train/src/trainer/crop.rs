@@ -1,29 +1,27 @@
-//! The cut after the warm-up, where a crop is asked for.
+//! The crop after the warm-up.
 
 use crate::TrainError;
 use crate::crop::{Region, SubjectCrop};
 use crate::trainer::Trainer;
 
-/// Fewest Gaussians of a subject.
+/// Least number of Gaussians of a subject.
 const MIN_GAUSSIANS: usize = 16;
 
 impl Trainer {
-    /// Makes the subject all there is: its Gaussians, and photographs with masks of it.
+    /// Reduces the state to the subject: its Gaussians, and photographs with masks.
     ///
     /// # Errors
-    /// [`TrainError::Invalid`] where nothing lies inside the crop.
+    /// [`TrainError::Invalid`] if the crop contains no Gaussians.
     pub(super) fn cut_out(&mut self) -> Result<(), TrainError> {
         let state = self.engine.state()?;
         if state.model.check().is_err() {
-            // The next step rolls back, and comes past here again.
+            // The next step rolls back, and the schedule reaches this point again.
             return Ok(());
         }
         let Some(region) = Region::of(self.config.crop, &state, &self.data) else { return Ok(()) };
         let mut state = state.into_owned();
         let Some(cut) = SubjectCrop::of(&mut state, region, MIN_GAUSSIANS) else {
-            return Err(TrainError::Invalid(
-                "crop: nothing that was found in the photographs lies inside".into(),
-            ));
+            return Err(TrainError::Invalid("crop: the region contains nothing from the photographs".into()));
         };
         state.model.shading.occluder_reach = self.config.shading.occluder_reach;
         cut.apply(&mut self.data, state.model.shading);
@@ -33,7 +31,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Centre and radius of a region's ball, units and axes of the capture.
+    /// Centre and radius of a region's ball, in units and axes of the capture.
     pub(super) fn capture_region(&self, region: &Region) -> [f64; 4] {
         let (scale, offset) = (self.data.scale, self.data.offset);
         let centre = glam::DVec3::from(region.centre) / scale - offset;
@@ -52,7 +50,7 @@ mod tests {
 
     const STEPS: u32 = 160;
 
-    /// Photographs without masks, of a ball in the dark, and the masks that they lack.
+    /// Photographs of a ball on black without masks, and the true masks.
     fn capture() -> (Capture, Vec<Vec<f32>>) {
         let options = SyntheticOptions {
             scene: SyntheticScene::MatteBall,
@@ -118,7 +116,7 @@ mod tests {
             (0..8).flat_map(|i| trainer.data.decode_uncached(i, PhotoSize::Full).alpha.clone()).collect()
         };
         assert!(masks_of(&trainer).is_empty(), "the control: no masks yet");
-        assert!(trainer.model().unwrap().framing.is_some(), "the surroundings may hide it");
+        assert!(trainer.model().unwrap().framing.is_some(), "the surroundings may occlude it");
         let distance = |trainer: &Trainer| trainer.data.camera(0, PhotoSize::Full).centre().length();
         let (before, seen) = (trainer.engine.gaussians(), distance(&trainer));
         trainer.step().unwrap();
@@ -128,16 +126,16 @@ mod tests {
             let values: Vec<f64> = own.map(|(_, found)| f64::from(*found)).collect();
             values.iter().sum::<f64>() / values.len() as f64
         };
-        // The subject has holes after so few steps, and nothing else is in the masks.
+        // After so few steps the subject has holes; the masks contain nothing else.
         assert!(mean(true) > 0.3 && mean(false) < 0.1, "{} {}", mean(true), mean(false));
-        assert!(trainer.engine.gaussians() < before, "what lies outside is gone");
+        assert!(trainer.engine.gaussians() < before, "Gaussians outside are removed");
         let now = distance(&trainer);
         assert!((now * 0.9 - seen).abs() < 1e-6, "the ball is the unit of the world: {now}, before {seen}");
         while !trainer.is_done() {
             assert_eq!(trainer.step().unwrap().warning, None);
         }
         let model = trainer.model().unwrap();
-        assert_eq!(model.framing, None, "nothing hides it");
+        assert_eq!(model.framing, None, "nothing occludes it");
         let ball = model.card.pointer("/crop/ball").unwrap().as_array().unwrap();
         assert!((ball[3].as_f64().unwrap() - 0.9 * capture.bounds.radius).abs() < 1e-9);
         assert!((model.world_scale * 0.9 * capture.bounds.radius - 1.0).abs() < 1e-9);
@@ -171,7 +169,7 @@ mod tests {
         assert!(refused(&capture).is_none(), "the control");
         capture.has_alpha = true;
         let mut whole = Trainer::new(&capture, config(Crop::NONE), &Device::Cpu).unwrap();
-        assert_eq!(whole.model().unwrap().framing, None, "they are seen whole");
+        assert_eq!(whole.model().unwrap().framing, None, "the default view shows the complete object");
         let error = refused(&capture).unwrap();
         assert!(matches!(&error, TrainError::Invalid(m) if m.starts_with("crop")), "{error}");
     }
@@ -182,7 +180,10 @@ mod tests {
         let mut trainer =
             Trainer::new(&capture, config(Crop::Ball([1e3, 0.0, 0.0, 1.0])), &Device::Cpu).unwrap();
         let error = (0..STEPS).find_map(|_| trainer.step().err()).unwrap();
-        assert!(matches!(&error, TrainError::Invalid(m) if m.starts_with("crop: nothing")), "{error}");
+        assert!(
+            matches!(&error, TrainError::Invalid(m) if m.starts_with("crop: the region contains nothing")),
+            "{error}"
+        );
         assert_eq!(trainer.progress().step, trainer.config().warm_up_steps());
     }
 }

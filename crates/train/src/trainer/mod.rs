@@ -1,4 +1,4 @@
-//! The trainer: one object that owns everything a step needs.
+//! The trainer, which owns everything that a training step needs.
 
 mod card;
 mod crop;
@@ -28,39 +28,39 @@ use relume_scene::light::{EnvOperators, LightColour};
 use relume_scene::{Field, SplitLight};
 use relume_spec::training::{LabelSource, TrainConfig};
 
-/// Steps between the states a roll-back can return to.
+/// Number of steps between snapshots for roll-backs.
 const SNAPSHOT_EVERY: u32 = 50;
-/// Steps between density rounds.
+/// Number of steps between density control rounds.
 const REFINE_EVERY: u32 = 100;
 
-/// What one step did.
+/// Report of one step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepReport {
-    /// Steps done so far.
+    /// Completed steps.
     pub step: u32,
-    /// The step that `loss` and `psnr` are of: this one, or the one before where the device is still at work on this one.
+    /// The step of `loss` and `psnr`: this step, or the previous one if the device is still working on this one.
     pub metrics_step: u32,
-    /// The objective of that step.
+    /// Value of the objective at that step.
     pub loss: f32,
     /// PSNR on that step's photograph, dB: physically based branch, or the radiance branch during its warm-up.
     pub psnr: f32,
-    /// Gaussians now.
+    /// Current number of Gaussians.
     pub gaussians: usize,
-    /// Something a user should know, e.g. a roll-back after a non-finite loss.
+    /// A warning for the user, e.g. about a roll-back after a non-finite loss.
     pub warning: Option<String>,
 }
 
-/// Where a training stands.
+/// Progress of a training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Progress {
-    /// Steps done.
+    /// Completed steps.
     pub step: u32,
-    /// Steps in all.
+    /// Total steps.
     pub total: u32,
 }
 
-/// A training in progress. The same capture, configuration and seed give the same bytes on the CPU engine; on a GPU
-/// sums are taken in no fixed order, and the result agrees to the last digits only.
+/// A training in progress. Equal capture, configuration and seed give equal bytes on the CPU engine. On a GPU the
+/// order of sums varies, so results agree only to the last digits.
 pub struct Trainer {
     config: TrainConfig,
     data: Dataset,
@@ -76,7 +76,7 @@ impl PreparedTraining {
     /// The trainer, with its state on `device`.
     ///
     /// # Errors
-    /// [`TrainError::Device`] says what the device lacks.
+    /// [`TrainError::Device`] states what the device lacks.
     pub fn on(self, device: &Device) -> Result<Trainer, TrainError> {
         let Self { config, data, operators, schedule, state } = self;
         let limits = TrainingLimits {
@@ -100,18 +100,20 @@ impl PreparedTraining {
 }
 
 impl Trainer {
-    /// Starts from nothing.
+    /// Starts a new training.
     ///
     /// # Errors
-    /// [`TrainError::Invalid`] names what cannot be trained on, [`TrainError::Device`] what the device lacks.
+    /// [`TrainError::Invalid`] names the unsuitable setting or input, [`TrainError::Device`] states what the device
+    /// lacks.
     pub fn new(capture: &Capture, config: TrainConfig, device: &Device) -> Result<Self, TrainError> {
         PreparedTraining::new(capture, config)?.on(device)
     }
 
-    /// Goes on from [`Trainer::checkpoint`] bytes, on whatever device; on the CPU engine bit for bit.
+    /// Resumes from the bytes of [`Trainer::checkpoint`] on any device; on the CPU engine the result is
+    /// bit-identical.
     ///
     /// # Errors
-    /// [`TrainError::Checkpoint`] names what does not fit, [`TrainError::Invalid`] what cannot be trained on.
+    /// [`TrainError::Checkpoint`] names what does not match, [`TrainError::Invalid`] the unsuitable setting or input.
     pub fn resume(
         capture: &Capture,
         config: TrainConfig,
@@ -131,12 +133,13 @@ impl Trainer {
         }
     }
 
-    /// One optimisation step.
+    /// Performs one optimisation step.
     ///
-    /// A non-finite loss or gradient returns to the last good state with smaller steps and says so in the report.
+    /// After a non-finite loss or gradient the trainer returns to the last snapshot with smaller steps, and the
+    /// report has a warning.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`] when that did not help either, [`TrainError::Device`] when the device failed.
+    /// [`TrainError::Diverged`] if roll-backs did not help, [`TrainError::Device`] if the device failed.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         let start = Instant::now();
         self.prepare_step()?;
@@ -194,7 +197,7 @@ impl Trainer {
         })
     }
 
-    /// The last decisions, once every step is done.
+    /// Makes the last decisions once all steps are completed.
     fn end(&mut self) -> Result<(), TrainError> {
         if self.is_done() {
             self.wait_for_steps()?;
@@ -205,7 +208,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Keeps the state to return to, where the step is one for that and sound.
+    /// Takes a snapshot for roll-backs if one is due and the state is finite.
     fn take_snapshot(&mut self) -> Result<(), TrainError> {
         if self.is_snapshot_step() {
             self.wait_for_steps()?;
@@ -246,18 +249,18 @@ impl Trainer {
             psnr: 0.0,
             gaussians: self.engine.gaussians(),
             warning: Some(format!(
-                "step {failed} was not finite: back to step {step} with step sizes at {factor} of the schedule"
+                "step {failed} was not finite: rolled back to step {step}, with step sizes multiplied by {factor}"
             )),
         })
     }
 
-    /// True when the training measures visibility, for labels or for the light that bounces.
+    /// True when the training measures visibility, for labels or for bounced light.
     fn measures(&self) -> bool {
         let uses_probes = matches!(self.config.labels, LabelSource::Probes | LabelSource::Both);
         uses_probes || self.config.bounces > 0
     }
 
-    /// What has to happen before certain steps: materials start, probes are refreshed.
+    /// Performs the work that is due before certain steps, e.g. starts materials or refreshes probes.
     fn prepare_step(&mut self) -> Result<(), TrainError> {
         let (step, warm_up) = (self.schedule.step, self.config.warm_up_steps());
         let is_measured =
@@ -280,7 +283,7 @@ impl Trainer {
             self.engine.load(state)?;
         }
         if is_measured {
-            // The first measurement also finds each Gaussian's open side, which the second one starts from.
+            // The first measurement also determines each Gaussian's open side, which the second one uses.
             self.measure(if step == warm_up { 2 } else { 1 })?;
         }
         if self.config.is_exposure_round(step) {
@@ -292,7 +295,7 @@ impl Trainer {
         self.decide()
     }
 
-    /// The light and the materials that training starts them from: in the colour that is known, or estimated.
+    /// Initialises the light and the materials, with the known or estimated colour of the light.
     fn start_light(&mut self, state: &mut TrainState) {
         let known = self.config.white_balance.known();
         let colour = if self.config.light.is_some() {
@@ -306,7 +309,7 @@ impl Trainer {
         materials::initialise(state, colour);
     }
 
-    /// Divides photographs by their gains, where these differ.
+    /// Divides photographs by their gains if these differ.
     fn match_exposures(&mut self) -> Result<(), TrainError> {
         let state = self.engine.state()?;
         if !self.data.rotations.is_static() || state.model.check().is_err() {
@@ -316,7 +319,7 @@ impl Trainer {
         if !self.schedule.gains.is_empty() || exposure::differ(&gains) {
             self.data.divide(&gains);
             self.schedule.gains.push(gains);
-            // What was before was learned from other photographs.
+            // Older snapshots come from photographs with other exposures.
             if self.engine.snapshot()? {
                 self.snapshot = self.schedule.clone();
             }
@@ -324,7 +327,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Takes strong small lights that cast sharp shadows out of the environment.
+    /// Splits strong small lights that cast sharp shadows off the environment.
     fn find_lights(&mut self) -> Result<(), TrainError> {
         let most = self.config.lights as usize;
         if most == 0 || self.config.light.is_some() || !self.data.rotations.is_static() {
@@ -332,7 +335,8 @@ impl Trainer {
         }
         let mut state = self.engine.state()?.into_owned();
         if state.model.check().is_err() || !state.model.shading.shades_lights() {
-            // A state that is not finite: the next step rolls back, and comes past here again.
+            // The state is not finite or lights are not shaded. After a non-finite state the next step rolls back and
+            // the schedule reaches this point again.
             return Ok(());
         }
         let seen = lights::seen(&state, &self.data.cameras(PhotoSize::Half));
@@ -344,7 +348,7 @@ impl Trainer {
             return Ok(());
         }
         let split = lights::split(&now, state.model.env_width, state.model.env_height);
-        // A light that is given up leaves its texels as they are.
+        // The texels of a light that is dropped stay unchanged.
         if now.len() > before.len() {
             lights::start(&mut state.model, &split, &found);
             self.engine.load(state)?;
@@ -353,7 +357,7 @@ impl Trainer {
         Ok(self.engine.light(&self.operators)?)
     }
 
-    /// Materials anew, from colours with the light divided out.
+    /// Restarts the materials from colours with the light divided out.
     fn restart_albedo(&mut self) -> Result<(), TrainError> {
         if self.measures() {
             self.find_lights()?;
@@ -361,7 +365,7 @@ impl Trainer {
         }
         let state = self.engine.state()?;
         if state.model.check().is_err() {
-            // The next step rolls back, and comes past here again.
+            // The next step rolls back, and the schedule reaches this point again.
             return Ok(());
         }
         let mut state = state.into_owned();
@@ -382,13 +386,13 @@ impl Trainer {
         self.schedule.complexity.due(&self.config, self.schedule.step).is_some()
     }
 
-    /// Makes the model as small as the scene allows, if a decision is due.
+    /// Reduces the model to what the scene requires, if a decision is due.
     fn decide(&mut self) -> Result<(), TrainError> {
         let steps = self.schedule.step;
         let Some(point) = self.schedule.complexity.due(&self.config, steps) else { return Ok(()) };
         let state = self.engine.state()?;
         if state.model.check().is_err() {
-            // The next step rolls back, and comes past here again.
+            // The next step rolls back, and the schedule reaches this point again.
             return Ok(());
         }
         let mut state = state.into_owned();
@@ -403,7 +407,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Measures visibility and gathered light, `repeats` times in a row.
+    /// Measures visibility and gathered light, `repeats` times in succession.
     fn measure(&mut self, repeats: usize) -> Result<(), TrainError> {
         let _span = tracing::info_span!("measure", repeats).entered();
         Ok(self.engine.measure(&schedule::measurement(&self.config, &self.data.rotations, repeats))?)
@@ -420,7 +424,7 @@ impl Trainer {
         if self.tracker.non_finite_step.is_some() {
             return Ok(());
         }
-        // The budget opens with the square root of progress, so that early Gaussians settle first.
+        // The budget grows with the square root of progress, so that early Gaussians converge first.
         let share = ((step - first) as f32 / (last - first).max(1) as f32).sqrt();
         let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
         self.schedule.complexity.before_round(&self.config, step, self.engine.gaussians());
@@ -431,43 +435,43 @@ impl Trainer {
         let signals = self.engine.density_signals()?;
         self.engine.rebuild(&density::plan(&signals, budget, centres.as_deref()))?;
         if step > self.config.warm_up_steps() && self.measures() {
-            // New Gaussians need labels and light of their own.
+            // New Gaussians need their own labels and gathered light.
             self.measure(1)?;
         }
         Ok(())
     }
 
-    /// Where it stands.
+    /// Progress of the training.
     pub fn progress(&self) -> Progress {
         Progress { step: self.schedule.step, total: self.config.iterations }
     }
 
-    /// True when every step is done.
+    /// True when all steps are completed.
     pub fn is_done(&self) -> bool {
         self.schedule.step >= self.config.iterations
     }
 
-    /// Whether materials are being trained or were: before that, and with a method of colour alone, a model cannot be relit.
+    /// Whether materials have been trained. A model cannot be relit before, or with a method that trains only colour.
     pub fn is_relightable(&self) -> bool {
         let step = self.schedule.step.min(self.config.iterations.saturating_sub(1));
         schedule::branches(&self.config, step).is_physical()
     }
 
-    /// The configuration in force.
+    /// The effective configuration.
     pub fn config(&self) -> &TrainConfig {
         &self.config
     }
 
-    /// Everything a resume needs, as one safetensors file with a versioned header.
+    /// The complete state for resuming, as a safetensors file with a versioned header.
     ///
     /// # Errors
-    /// When the state is not finite (a poisoned checkpoint is never written) or the device failed.
+    /// If the state is not finite (a checkpoint never contains NaN or infinity) or the device failed.
     pub fn checkpoint(&mut self) -> Result<Vec<u8>, TrainError> {
         self.wait_for_finite_state()?;
         checkpoint::encode(&self.schedule, self.engine.state()?.as_ref(), &self.config)
     }
 
-    /// What was decoded for the steps of this run, and how long they waited for it.
+    /// Statistics of the decoding for the steps of this run.
     pub fn decoding(&self) -> DecodingStats {
         self.data.decoding()
     }

@@ -1,4 +1,4 @@
-//! The photographs of the steps: decoded in time, and only where the engine does not hold them.
+//! Supplies the photographs of steps: decoded ahead, and only if the engine does not hold them.
 
 use std::sync::Arc;
 
@@ -6,11 +6,12 @@ use crate::schedule;
 use crate::trainer::Trainer;
 use relume_engine::{Photo, PhotoId};
 
-/// Steps whose photographs are decoded ahead, as far as there is room for them.
+/// Number of steps whose photographs are decoded ahead, as far as the cache has room.
 const AHEAD: u32 = 4;
 
 impl Trainer {
-    /// The photograph of a step; without pixels where the engine holds it. Those of the next steps are decoded meanwhile.
+    /// The photograph of a step, without pixels if the engine holds it. The photographs of the next steps are decoded
+    /// meanwhile.
     pub(super) fn photograph(&self, id: PhotoId) -> Arc<Photo> {
         let photo = match self.engine.holds(id) {
             true => Arc::new(self.data.without_pixels(id.index, id.size)),
@@ -21,7 +22,7 @@ impl Trainer {
         photo
     }
 
-    /// Photographs of the steps after the one that has taken its photograph.
+    /// Photographs of the steps after the current one.
     fn next_photos(&self) -> Vec<PhotoId> {
         let next = self.schedule.step + 1;
         let steps = next..self.config.iterations.min(next + AHEAD);

@@ -1,4 +1,4 @@
-//! From a capture to a trainer: what needs no device first, so that it can be done on any thread.
+//! Prepares a training without a device, so that this can run on any thread.
 
 use std::sync::Arc;
 
@@ -15,10 +15,10 @@ use relume_scene::Model;
 use relume_scene::light::{EnvOperators, TableResolution};
 use relume_spec::training::{Crop, TrainConfig, WhiteBalance};
 
-/// Fewest photographs worth training on.
+/// Least number of photographs for a training.
 const MIN_VIEWS: usize = 3;
 
-/// A training that is ready to begin, or to go on, on a device.
+/// A training that is ready to start or resume on a device.
 pub struct PreparedTraining {
     pub(super) config: TrainConfig,
     pub(super) data: Dataset,
@@ -28,10 +28,10 @@ pub struct PreparedTraining {
 }
 
 impl PreparedTraining {
-    /// Starts from nothing.
+    /// Starts a new training.
     ///
     /// # Errors
-    /// [`TrainError::Invalid`] names what cannot be trained on.
+    /// [`TrainError::Invalid`] names the unsuitable setting or input.
     pub fn new(capture: &Capture, mut config: TrainConfig) -> Result<Self, TrainError> {
         let data = prepare(capture, &mut config)?;
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
@@ -40,15 +40,17 @@ impl PreparedTraining {
         Ok(Self::of(config, data, schedule, TrainState::new(model)))
     }
 
-    /// Goes on from the bytes of a checkpoint.
+    /// Resumes from the bytes of a checkpoint.
     ///
     /// # Errors
-    /// [`TrainError::Checkpoint`] names what does not fit, [`TrainError::Invalid`] what cannot be trained on.
+    /// [`TrainError::Checkpoint`] names what does not match, [`TrainError::Invalid`] the unsuitable setting or input.
     pub fn resume(capture: &Capture, mut config: TrainConfig, bytes: &[u8]) -> Result<Self, TrainError> {
         let mut data = prepare(capture, &mut config)?;
         let (schedule, state) = checkpoint::decode(bytes, &config)?;
         if schedule.order.len() != data.len() {
-            return Err(TrainError::Checkpoint("order: was made with another number of photographs".into()));
+            return Err(TrainError::Checkpoint(
+                "order: the checkpoint has another number of photographs".into(),
+            ));
         }
         if let Some(cut) = &schedule.cut {
             cut.apply(&mut data, state.model.shading);
@@ -57,7 +59,8 @@ impl PreparedTraining {
         Ok(Self::of(config, data, schedule, state))
     }
 
-    /// Keeps at most so many bytes of photographs decoded, beside those of the step that runs. No result depends on it.
+    /// Limits the cache of decoded photographs to `bytes`, not counting those of the current step. Results do not
+    /// depend on it.
     #[must_use]
     pub fn with_photo_cache(mut self, bytes: usize) -> Self {
         self.data.bound(bytes);
@@ -70,35 +73,35 @@ impl PreparedTraining {
     }
 }
 
-/// Checks that `capture` can be trained on, gives `config` what was measured in it, and reads its photographs.
+/// Checks that `capture` is suitable for training, adds measurements in it to `config`, and prepares its photographs.
 fn prepare(capture: &Capture, config: &mut TrainConfig) -> Result<Dataset, TrainError> {
     if capture.train.len() < MIN_VIEWS {
         let n = capture.train.len();
         return Err(TrainError::Invalid(format!(
-            "capture: {n} usable training photographs, at least {MIN_VIEWS} are needed"
+            "capture: {n} usable training photographs; at least {MIN_VIEWS} are needed"
         )));
     }
     if config.light.is_some() && capture.measured_light.is_none() {
-        return Err(TrainError::Invalid("light: the capture came without the map it names".into()));
+        return Err(TrainError::Invalid("light: the environment map that it names is missing".into()));
     }
     if !capture.has_light_rotations(&config.light_rotation_per_photo) {
-        let reason = "the capture came without the turns of the light that are given here";
+        let reason = "the photographs do not have these rotations of the light";
         return Err(TrainError::Invalid(format!("light_rotation_per_photo: {reason}")));
     }
     if config.crop != Crop::NONE && capture.has_alpha {
         return Err(TrainError::Invalid(
-            "crop: the photographs have masks, which say what the subject is".into(),
+            "crop: the photographs have masks, which already define the subject".into(),
         ));
     }
     if config.grey_card.is_some() {
-        let missing = "grey_card: the capture came without the colour of the card";
+        let missing = "grey_card: the colour of the card was not measured";
         let colour = capture.grey_card.ok_or_else(|| TrainError::Invalid(missing.into()))?;
         config.white_balance = WhiteBalance::Colour(colour);
     }
     Ok(Dataset::new(capture, config))
 }
 
-/// The operators for a model's environment, its lights and visibility.
+/// The operators for a model's environment, lights and visibility.
 pub(super) fn operators_of(model: &Model) -> Arc<EnvOperators> {
     let sh_degree = model.gaussians.visibility_degree();
     let whole = EnvOperators::new(model.env_width, model.env_height, sh_degree, TableResolution::TRAINING);

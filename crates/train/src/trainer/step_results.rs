@@ -1,4 +1,4 @@
-//! What steps came to, as far as it is known: a device may be a step behind the schedule.
+//! Processes the results of steps. A device may be one step behind the schedule.
 
 use crate::error::TrainError;
 use crate::trainer::Trainer;
@@ -6,7 +6,8 @@ use crate::trainer::step_tracker::{PendingStep, StepMetrics};
 use relume_engine::StepResult;
 
 impl Trainer {
-    /// Notes that the engine was asked for the step at hand, and what it gave: the sums of this step or of an earlier one.
+    /// Records that the engine was given the current step, and the result that it returned, of this step or an
+    /// earlier one.
     pub(super) fn record_step(&mut self, phase: u32, sums: Option<StepResult>) {
         self.tracker.pending.push_back(PendingStep { step: self.schedule.step, phase });
         if let Some(sums) = sums {
@@ -14,7 +15,7 @@ impl Trainer {
         }
     }
 
-    /// Waits until every step is done, and takes in what they came to.
+    /// Waits until all steps are completed, and records their results.
     pub(super) fn wait_for_steps(&mut self) -> Result<(), TrainError> {
         while let Some(sums) = self.engine.finish()? {
             self.take(sums);
@@ -22,7 +23,8 @@ impl Trainer {
         Ok(())
     }
 
-    /// The same for whoever wants the state as it is: rolls back where a step was not finite, and has the next report say so.
+    /// As [`Self::wait_for_steps`], for a caller that needs the state: rolls back after a non-finite step, with a
+    /// warning in the next report.
     pub(super) fn wait_for_finite_state(&mut self) -> Result<(), TrainError> {
         self.wait_for_steps()?;
         if self.tracker.non_finite_step.is_some() {
@@ -31,7 +33,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// The last step whose sums are known; waits for those of the first one.
+    /// Metrics of the last step whose result is known; waits for the first result.
     pub(super) fn latest_metrics(&mut self) -> Result<StepMetrics, TrainError> {
         if self.tracker.latest.is_none() {
             self.wait_for_steps()?;

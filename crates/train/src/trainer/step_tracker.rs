@@ -1,39 +1,39 @@
-//! What is known of what steps came to.
+//! Tracks pending steps and known results.
 
 use std::collections::VecDeque;
 
-/// A step that the engine was asked for.
+/// A step that the engine was given.
 pub(super) struct PendingStep {
     pub(super) step: u32,
-    /// Which of the records its PSNR belongs to.
+    /// Phase to which its PSNR belongs.
     pub(super) phase: u32,
 }
 
-/// What a step came to.
+/// Metrics of a step.
 #[derive(Clone, Copy)]
 pub(super) struct StepMetrics {
-    /// Steps done with it.
+    /// Completed steps including this one.
     pub(super) step: u32,
     pub(super) loss: f32,
     /// dB.
     pub(super) psnr: f32,
 }
 
-/// What is known of the steps so far.
+/// Pending steps and known results.
 #[derive(Default)]
 pub(super) struct StepTracker {
-    /// Steps whose sums are not known, oldest first.
+    /// Steps whose results are not known, oldest first.
     pub(super) pending: VecDeque<PendingStep>,
-    /// The last step whose sums are known.
+    /// The last step whose result is known.
     pub(super) latest: Option<StepMetrics>,
-    /// What the next report is to say of a step that was rolled back unasked.
+    /// Warning for the next report, about a roll-back between steps.
     pub(super) warning: Option<String>,
-    /// A step that was not finite: what was done since must not be built on.
+    /// A non-finite step; the state since then is invalid.
     pub(super) non_finite_step: Option<u32>,
 }
 
 impl StepTracker {
-    /// Forgets the steps that are rolled back; gives the one that was not finite.
+    /// Clears the pending steps; returns the non-finite step.
     pub(super) fn roll_back(&mut self) -> Option<u32> {
         self.pending.clear();
         self.latest = None;

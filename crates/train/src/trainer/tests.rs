@@ -41,17 +41,17 @@ fn small() -> (Capture, TrainConfig) {
 fn assert_non_finite_step_is_rolled_back(device: &Device) {
     let (capture, config) = small();
     let mut trainer = Trainer::new(&capture, config, device).unwrap();
-    assert_eq!(trainer.step().unwrap().warning, None, "the control: a sound step is taken");
+    assert_eq!(trainer.step().unwrap().warning, None, "the control: a finite step succeeds");
     let mut state = trainer.engine.state().unwrap().into_owned();
     state.model.env_raw[5] = [f32::NAN; 3];
     trainer.engine.load(state).unwrap();
     assert!(trainer.checkpoint().is_err(), "a poisoned checkpoint must not be written");
-    // A device is a step behind.
+    // A device is one step behind.
     let warning = (0..2).find_map(|_| trainer.step().unwrap().warning).unwrap();
     assert!(warning.contains("back to step 0"), "{warning}");
     assert_eq!(trainer.schedule.rate_factor, 0.5);
     assert!(trainer.model().unwrap().check().is_ok());
-    assert_eq!(trainer.step().unwrap().warning, None, "and goes on");
+    assert_eq!(trainer.step().unwrap().warning, None, "training continues");
 }
 
 #[test]
@@ -73,12 +73,12 @@ fn assert_checkpoint_excludes_a_non_finite_step(device: &Device) {
     let mut state = trainer.engine.state().unwrap().into_owned();
     state.model.env_raw[5] = [f32::NAN; 3];
     trainer.engine.load(state).unwrap();
-    // On a device nobody knows yet.
+    // On a device the result is not known yet.
     let known = trainer.step().unwrap().warning;
     let bytes = trainer.checkpoint().unwrap();
-    assert_eq!(trainer.progress().step, 0, "it is rolled back");
+    assert_eq!(trainer.progress().step, 0, "the step is rolled back");
     let next = trainer.step().unwrap().warning;
-    assert!([known, next].into_iter().flatten().count() == 1, "and said once");
+    assert!([known, next].into_iter().flatten().count() == 1, "one warning");
     let mut resumed = Trainer::resume(&capture, config, &bytes, device).unwrap();
     (0..3).for_each(|_| assert_eq!(resumed.step().unwrap().warning, None));
 }
@@ -167,7 +167,7 @@ fn assert_reduced_model_continues_training(device: &Device) {
     assert!(model.card["complexity"]["findings"].as_array().unwrap().len() >= 6, "{}", model.card);
 }
 
-/// How often photographs were decoded by nine steps on three of them, with no room to keep any decoded.
+/// Number of photographs that nine steps on three photographs decode, without a cache.
 fn decoded_by_nine_steps(device: &Device) -> u64 {
     let (capture, config) = small();
     let mut trainer = Trainer::new(&capture, config, device).unwrap();

@@ -1,4 +1,4 @@
-//! The loads: what the service does beside thumbnails.
+//! The loads on the service during the measurement of thumbnails.
 
 use std::time::Duration;
 
@@ -17,16 +17,16 @@ use relume_api::{JobId, ModelId};
 use relume_client::Client;
 use relume_spec::rendering::{FrameFormat, Output};
 
-/// More steps than are waited for.
+/// More steps than the measurement can last.
 const ENDLESS: u32 = 1_000_000;
-/// How long a training may take to begin.
+/// Maximum time until a training starts.
 const BEGINS_WITHIN: Duration = Duration::from_secs(60);
-/// How long clients wait for a render before they go away.
+/// Time after which clients of renders disconnect.
 const GOES_AWAY_AFTER: Duration = Duration::from_millis(200);
-/// Files of this process beside the two ends of each connection.
+/// Open files of this process besides the two ends of each connection.
 pub(super) const OTHER_FILES: usize = 600;
 
-/// Every output.
+/// All outputs.
 const ALL_OUTPUTS: [Output; 11] = [
     Output::Rgb,
     Output::Albedo,
@@ -41,25 +41,25 @@ const ALL_OUTPUTS: [Output; 11] = [
     Output::Radiance,
 ];
 
-/// What a slow client has sent when it stops.
+/// What a slow client has sent before it stops.
 const HALF_SENT: [&str; 3] = [
     "",
     "GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: ",
     "POST /v1/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\nContent-Length: 1000\r\n\r\n{",
 ];
 
-/// A load that lasts until its end is asked for.
+/// A load that lasts until [`ActiveLoad::end`].
 pub(super) struct ActiveLoad {
-    /// What it is, with its numbers.
+    /// Description of the load with its parameters.
     title: String,
-    /// Clients that go on for ever.
+    /// Clients that repeat their requests without end.
     clients: JoinSet<()>,
     sockets: Vec<TcpStream>,
     training: Option<(Client, JobId)>,
 }
 
 impl ActiveLoad {
-    /// Begins a load; it is there when this returns.
+    /// Starts a load. The load is active when this function returns.
     pub(super) async fn begin(load: Load, fixture: &Fixture, args: &ServiceArgs) -> CommandResult<Self> {
         let mut active_load = Self {
             title: load.name().to_owned(),
@@ -77,7 +77,7 @@ impl ActiveLoad {
         Ok(active_load)
     }
 
-    /// Ends it, and says what it was.
+    /// Stops the load and returns its description.
     pub(super) async fn end(mut self) -> CommandResult<String> {
         self.clients.shutdown().await;
         if let Some((client, job)) = &self.training {
@@ -87,7 +87,7 @@ impl ActiveLoad {
         Ok(self.title)
     }
 
-    /// A client that has the same upload validated again and again.
+    /// Starts a client that submits the same upload for validation repeatedly.
     async fn begin_uploads(&mut self, fixture: &Fixture, args: &ServiceArgs) -> CommandResult {
         let (count, megapixels) = (args.photographs, args.megapixels);
         let archive = tokio::task::spawn_blocking(move || photographs(count, megapixels)).await??;
@@ -107,11 +107,11 @@ impl ActiveLoad {
         Ok(())
     }
 
-    /// Clients that ask for large frames, all at once, and go away before they have them.
+    /// Starts clients that request large frames concurrently and disconnect before the answer.
     fn begin_renders(&mut self, fixture: &Fixture, args: &ServiceArgs) {
         let (count, size) = (args.renders, args.render_size);
         self.title = format!(
-            "beside bursts of {count} renders of {size} x {size} px, all outputs as EXR, whose clients go away after {} ms",
+            "beside bursts of {count} renders of {size} x {size} px, all outputs as EXR, whose clients disconnect after {} ms",
             GOES_AWAY_AFTER.as_millis()
         );
         for _ in 0..count {
@@ -119,7 +119,7 @@ impl ActiveLoad {
             self.clients.spawn(async move {
                 loop {
                     let render = render(&client, &model, size);
-                    // The future is dropped with its connection.
+                    // Dropping the future closes its connection.
                     let answer = tokio::time::timeout(GOES_AWAY_AFTER, render).await;
                     if matches!(answer, Ok(Err(_))) {
                         tokio::time::sleep(GOES_AWAY_AFTER).await;
@@ -129,7 +129,7 @@ impl ActiveLoad {
         }
     }
 
-    /// Connections that have sent half a request and wait.
+    /// Opens connections that have sent half a request and wait.
     async fn begin_sockets(&mut self, fixture: &Fixture, args: &ServiceArgs) -> CommandResult {
         let (files, _) = rlimit::getrlimit(rlimit::Resource::NOFILE)?;
         let most = usize::try_from(files).unwrap_or(usize::MAX).saturating_sub(OTHER_FILES) / 2;
@@ -142,7 +142,7 @@ impl ActiveLoad {
             self.sockets.push(stream);
         }
         let fewer = if most < wanted {
-            format!(" ({wanted} were asked for; the limit of open files allows fewer)")
+            format!(" ({wanted} were requested; the limit of open files allows fewer)")
         } else {
             String::new()
         };
@@ -171,7 +171,7 @@ async fn begin_training(fixture: &Fixture) -> CommandResult<(Client, JobId)> {
     Ok((client, job))
 }
 
-/// A frame with every output, as EXR. Its bytes are dropped as they come.
+/// Renders a frame with all outputs as EXR and discards its bytes.
 async fn render(client: &Client, model: &ModelId, size: u32) -> CommandResult {
     let look = LookAtSpec { eye: [2.5, -2.5, 1.5], target: [0.0; 3], up: [0.0, 0.0, 1.0], fov_y_deg: 40.0 };
     let request = RenderRequest {

@@ -1,4 +1,4 @@
-//! What is measured: a small model that the service trained, its capture, and an upload of large photographs.
+//! The fixture of the measurement: a small model that the service trained, its capture, and an upload of large photographs.
 
 use std::io::{Cursor, Write};
 
@@ -16,10 +16,10 @@ use relume_capture::{SyntheticOptions, synthetic, write_archive};
 use relume_client::Client;
 use relume_spec::training::{Preset, TrainOverrides};
 
-/// Side of the photographs that are trained on, pixels.
+/// Side of the photographs for the training, pixels.
 const SIDE: u32 = 64;
 
-/// A model of the service, and how it was trained.
+/// A model in the service, and the settings of its training.
 pub(super) struct Fixture {
     pub(super) client: Client,
     pub(super) capture: CaptureId,
@@ -42,7 +42,7 @@ impl Fixture {
         Ok(Self { client, capture, model, gaussians: args.gaussians })
     }
 
-    /// A training of so many steps as the model's.
+    /// A training with the settings of the model and `iterations` steps.
     pub(super) fn job(&self, iterations: u32) -> NewJob {
         job(&self.capture, iterations, self.gaussians)
     }
@@ -58,7 +58,7 @@ fn job(capture: &CaptureId, iterations: u32, gaussians: u32) -> NewJob {
     NewJob { capture: capture.clone(), preset: Preset::Draft, overrides, ..NewJob::default() }
 }
 
-/// A capture of `count` copies of one JPEG of so many millions of pixels, 4 : 3. Blocks.
+/// A capture with `count` copies of one JPEG of `megapixels` megapixels, 4 : 3. Blocks.
 pub(super) fn photographs(count: u32, megapixels: f64) -> CommandResult<Bytes> {
     let height = (megapixels * 1e6 * 0.75).sqrt().round().max(3.0) as u32;
     let (width, jpeg) = (height * 4 / 3, photograph(height * 4 / 3, height)?);
@@ -78,13 +78,13 @@ pub(super) fn photographs(count: u32, megapixels: f64) -> CommandResult<Bytes> {
     Ok(archive.finish()?.into_inner().into())
 }
 
-/// A camera-to-world matrix on a circle, looking at its middle.
+/// A camera-to-world matrix on a circle, facing its centre.
 fn pose(i: u32, count: u32) -> [[f64; 4]; 4] {
     let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / f64::from(count)).sin_cos();
     [[-sin, 0.0, cos, 3.0 * cos], [cos, 0.0, sin, 3.0 * sin], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 }
 
-/// A picture with detail everywhere, so that it takes as long to decode as a photograph.
+/// An image with detail everywhere, so that decoding takes as long as for a photograph.
 fn photograph(width: u32, height: u32) -> CommandResult<Vec<u8>> {
     let mut state = 1_u32;
     let picture = image::RgbImage::from_fn(width, height, |x, y| {

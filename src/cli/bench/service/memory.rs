@@ -1,26 +1,26 @@
-//! The most memory that this process held at once. What its allocator has not given back counts.
+//! The peak memory of this process, including memory that its allocator has not returned.
 
-/// Measures from when it is begun, where the system tells.
+/// Measures from [`PeakMemory::begin`] on, if the operating system supports it.
 pub(super) struct PeakMemory;
 
 impl PeakMemory {
-    /// Forgets what was held before.
+    /// Resets the peak.
     pub(super) fn begin() -> Self {
-        // Without the right to do so the peak is that of the whole run.
+        // Without the permission, the peak covers the whole run.
         #[cfg(target_os = "linux")]
         if let Err(error) = std::fs::write("/proc/self/clear_refs", "5") {
-            eprintln!("the peak of memory is that of the whole run: {error}");
+            eprintln!("cannot reset the peak memory, so it covers the whole run: {error}");
         }
         Self
     }
 
-    /// Mebibytes at the peak; `None` where the system does not tell.
+    /// The peak in MiB; `None` if the operating system does not report it.
     pub(super) fn mebibytes(&self) -> Option<u64> {
         peak_kibibytes(&std::fs::read_to_string("/proc/self/status").ok()?).map(|kibibytes| kibibytes / 1024)
     }
 }
 
-/// The peak in the text of `/proc/self/status`.
+/// The peak, KiB, in the text of `/proc/self/status`.
 fn peak_kibibytes(status: &str) -> Option<u64> {
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     line.trim().strip_suffix("kB")?.trim().parse().ok()

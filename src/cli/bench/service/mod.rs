@@ -1,6 +1,6 @@
-//! `relume bench service`: how long thumbnails take while the service does something else.
+//! `relume bench service`: measures the latency of thumbnails while the service is under load.
 //!
-//! Server and clients are this process, on loopback and in a temporary directory.
+//! Server and clients run in this process, on loopback and in a temporary directory.
 
 mod active_load;
 mod args;
@@ -43,14 +43,14 @@ pub(super) fn run(args: &ServiceArgs) -> CommandResult {
     Ok(publish(&text, args.out.as_deref())?)
 }
 
-/// The rows of the table.
+/// Measures all loads. Returns the rows of the table.
 async fn measure(args: &ServiceArgs) -> CommandResult<String> {
-    // Both ends of each connection are files of this process.
+    // Both ends of each connection are open files of this process.
     raise_file_limit(2 * args.sockets as usize + OTHER_FILES);
     let change = |config: &mut crate::server::ServerConfig| config.worker.device = args.device;
     let server = testing::spawn_with(TempDir::new()?, change).await?;
     let rows = measure_on(server.client().clone(), args).await;
-    // The server is stopped in any case; the first failure is the one to report.
+    // The server is stopped in all cases; the first error is returned.
     let stopped = server.stop().await;
     let rows = rows?;
     stopped?;
@@ -61,7 +61,7 @@ async fn measure_on(client: relume_client::Client, args: &ServiceArgs) -> Comman
     eprintln!("training a model to render");
     let fixture = Fixture::train(client, args).await?;
     let mut thumbnails = Thumbnails::new(&fixture, args.size);
-    // Model and light are read by the first.
+    // The first thumbnail reads the model and the light.
     thumbnails.next().await.ok_or("the first thumbnail was refused")?;
     let mut text = String::new();
     for load in Load::ALL {
@@ -80,7 +80,7 @@ async fn measure_on(client: relume_client::Client, args: &ServiceArgs) -> Comman
     Ok(text)
 }
 
-/// The cells of one load.
+/// The table cells of one load.
 fn cells(title: &str, times: &Times, memory: Option<u64>) -> Vec<String> {
     let ms = |share: f64| times.answers.at(share).map_or_else(|| "-".to_owned(), |ms| format!("{ms:.1}"));
     let mut cells = vec![title.to_owned(), times.answers.count().to_string(), times.refused.to_string()];

@@ -1,4 +1,4 @@
-//! How long thumbnails take.
+//! The latency of thumbnails.
 
 use std::time::{Duration, Instant};
 
@@ -7,10 +7,10 @@ use crate::cli::bench::service::fixture::Fixture;
 use relume_api::ModelId;
 use relume_client::Client;
 
-/// How long one thumbnail is waited for.
+/// Timeout of one thumbnail.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Asks for thumbnails of one model, each from another direction, so that no cache has it.
+/// Requests thumbnails of one model, each from another direction, so that none is cached.
 pub(super) struct Thumbnails {
     client: Client,
     model: ModelId,
@@ -18,12 +18,12 @@ pub(super) struct Thumbnails {
     asked: u32,
 }
 
-/// What was measured under one load.
+/// The measurements under one load.
 #[derive(Debug, Default)]
 pub(super) struct Times {
     /// Milliseconds of each answer.
     pub(super) answers: Quantiles,
-    /// Thumbnails that were refused or not answered in time.
+    /// Thumbnails that were refused or timed out.
     pub(super) refused: usize,
 }
 
@@ -32,7 +32,7 @@ impl Thumbnails {
         Self { client: fixture.client.clone(), model: fixture.model.clone(), size, asked: 0 }
     }
 
-    /// Milliseconds of the next one; `None` when there was no picture.
+    /// Requests the next thumbnail. Returns its milliseconds; `None` if the server sent no image.
     pub(super) async fn next(&mut self) -> Option<f64> {
         self.asked += 1;
         let azimuth = f64::from(self.asked) * 0.01;
@@ -50,7 +50,7 @@ impl Thumbnails {
         }
     }
 
-    /// One after the other, at most `count` and for at most `time`; at least one.
+    /// Requests thumbnails one after the other: at least one, at most `count`, for at most `time`.
     pub(super) async fn during(&mut self, count: u32, time: Duration) -> Times {
         let (begin, mut answers, mut refused) = (Instant::now(), Vec::new(), 0);
         for _ in 0..count {

@@ -1,4 +1,4 @@
-//! `relume bench tradeoff`: time of every tier against its error, on the test views and lights of a capture.
+//! `relume bench tradeoff`: measures time and error of every tier on the test views and lights of a capture.
 
 mod plot;
 mod report;
@@ -22,9 +22,9 @@ use row::Row;
 /// Options of `relume bench tradeoff`.
 #[derive(Debug, clap::Args)]
 pub(super) struct TradeoffArgs {
-    /// A capture with held-out views, relit truth and its lights' maps.
+    /// A capture with held-out views, ground-truth relit pictures and the environment maps of its lights.
     capture: PathBuf,
-    /// Models of it, e.g. one a training preset.
+    /// Models of this capture, e.g. one per training preset.
     #[arg(required = true)]
     models: Vec<PathBuf>,
     /// The folder for `tradeoff.csv`, `tradeoff.md` and `tradeoff.svg`.
@@ -33,22 +33,22 @@ pub(super) struct TradeoffArgs {
     /// Longest side of the views, pixels.
     #[arg(long, default_value_t = 128, value_parser = clap::value_parser!(u32).range(16..=8192))]
     resolution: u32,
-    /// Held-out views, evenly spaced.
+    /// Number of held-out views, evenly spaced.
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..))]
     views: u32,
-    /// Only these lights of the capture, with commas; all when absent.
+    /// Only these lights of the capture, separated by commas. Default: all.
     #[arg(long, value_delimiter = ',')]
     lights: Vec<String>,
-    /// Samples a pixel of the Monte-Carlo tier, with commas.
+    /// Samples per pixel of the Monte-Carlo tier, separated by commas.
     #[arg(long, value_delimiter = ',', default_value = "4,8,16,32,64,128")]
     samples: Vec<u32>,
-    /// Samples a pixel of the picture that errors are measured against.
+    /// Samples per pixel of the reference frame for the errors.
     #[arg(long, default_value_t = 1024)]
     truth_samples: u32,
-    /// Times each frame is made; the fastest counts.
+    /// Renders of each frame; the fastest counts.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     repeats: u32,
-    /// A device to measure besides the CPU engine: `cpu` for none, `gpu` or `gpu:N`.
+    /// A device to measure in addition to the CPU engine: `gpu` or `gpu:N`; `cpu` adds none.
     #[arg(long, default_value = "cpu")]
     device: DeviceChoice,
 }
@@ -85,7 +85,7 @@ pub(super) fn run(args: &TradeoffArgs) -> CommandResult {
 /// Frames by light and view.
 type ReferenceFrames = BTreeMap<(usize, usize), Frame>;
 
-/// The views and lights that are compared.
+/// The views and lights to compare.
 fn cases<'a>(
     args: &TradeoffArgs,
     capture: &'a Capture,
@@ -102,7 +102,7 @@ fn cases<'a>(
     Ok((views, lights))
 }
 
-/// The pictures of the Monte-Carlo tier with many samples, from a seed that no row has.
+/// Monte-Carlo frames with many samples, from a seed that no row uses.
 fn truths(
     args: &TradeoffArgs,
     capture: &Capture,
@@ -122,7 +122,7 @@ fn truths(
     Ok(out)
 }
 
-/// Every tier of one model on one device.
+/// Measures all tiers of one model on one device.
 fn measure(
     args: &TradeoffArgs,
     capture: &Capture,
@@ -134,7 +134,7 @@ fn measure(
     let renderer = Renderer::on(bench_model.model.clone(), device)?;
     let sampled = args.samples.iter().map(|n| Quality::monte_carlo(*n));
     let fast = [Tier::Preview, Tier::Standard, Tier::High].map(Quality::from);
-    // Only these two run on a GPU.
+    // A GPU supports only these two.
     let wanted: Vec<Quality> =
         if device.is_gpu() { fast[..2].to_vec() } else { fast.into_iter().chain(sampled).collect() };
     let mut sums: Vec<ErrorSums> = wanted.iter().map(|_| ErrorSums::default()).collect();
@@ -155,7 +155,7 @@ fn measure(
     Ok(wanted.iter().zip(sums).map(|(quality, sum)| sum.row(bench_model, device, *quality, n)).collect())
 }
 
-/// A frame and the least time it took, milliseconds.
+/// A frame and its minimum time, milliseconds.
 fn timed(
     args: &TradeoffArgs,
     renderer: &Renderer,
@@ -173,7 +173,7 @@ fn timed(
     Ok((frame, least))
 }
 
-/// Sums over frames, of times in ms and of mean squared errors.
+/// Sums over frames: times in ms, mean squared errors.
 #[derive(Default)]
 struct ErrorSums {
     frames: f64,

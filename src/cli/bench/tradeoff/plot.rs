@@ -1,4 +1,4 @@
-//! The figures as one SVG of three panels with logarithmic axes.
+//! Plots the measurements as one SVG with three panels and logarithmic axes.
 
 use std::ops::Range;
 
@@ -27,7 +27,7 @@ type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 /// Points of one colour.
 struct Series {
     name: String,
-    /// How many of the first points no line joins.
+    /// Number of leading points that are not joined by a line.
     unjoined: usize,
     /// Abscissa, ordinate and label of each point.
     points: Vec<(f64, f64, String)>,
@@ -78,7 +78,7 @@ fn time_against_error(rows: &[Row]) -> Panel {
     }
 }
 
-/// The samples a pixel of the Monte-Carlo tier, or the name of another tier.
+/// The samples per pixel of the Monte-Carlo tier, or the name of another tier.
 fn label(row: &Row) -> String {
     match row.quality.tier {
         Tier::MonteCarlo => format!("{} samples", row.quality.samples),
@@ -114,14 +114,14 @@ fn training_against_truth(rows: &[Row]) -> Panel {
     }
 }
 
-/// From half the least to twice the greatest of the positive finite values.
+/// From half the minimum to twice the maximum of the positive finite values.
 fn range(values: impl Iterator<Item = f64>) -> Range<f64> {
     let usable = values.filter(|v| *v > 0.0 && v.is_finite());
     let (low, high) = usable.fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(v), b.max(v)));
     if high > 0.0 { low / 2.0..high * 2.0 } else { 0.1..1.0 }
 }
 
-/// 1, 2 and 5 times powers of ten; plotters' own ticks leave out those below the first power of ten.
+/// Multiples 1, 2 and 5 of powers of ten. The ticks of plotters omit those below the first power of ten.
 fn ticks(range: &Range<f64>) -> Vec<f64> {
     let (first, last) = (range.start.log10().floor() as i32, range.end.log10().ceil() as i32);
     let all = (first..=last).flat_map(|e| [1, 2, 5].map(|m| format!("{m}e{e}").parse().unwrap_or_default()));
@@ -162,10 +162,10 @@ impl Panel {
             chart.draw_series(LineSeries::new(joined, colour))?;
             chart.draw_series(series.points.iter().map(|p| Circle::new((p.0, p.1), 3, colour.filled())))?;
         }
-        // One series names its points; those of the others are in the same order.
+        // Only the points of the first series are labelled; the other series have the same order.
         if let Some(series) = self.series.first() {
             chart.draw_series(series.points.iter().enumerate().map(|(k, (x, y, label))| {
-                // To the lower left of a line; single points lie close together, so their names are below one another.
+                // Labels are to the lower left of a line. Single points are close together, so their labels are stacked.
                 let (side, offset) = match k {
                     k if k < series.unjoined => (HPos::Left, (6, 13 * k as i32 - 12)),
                     _ => (HPos::Right, (-6, 4)),
@@ -186,7 +186,7 @@ mod tests {
     #[test]
     fn log_axis_ticks_are_one_two_and_five_times_powers_of_ten() {
         assert_eq!(ticks(&(0.015..1.5)), [0.02, 0.05, 0.1, 0.2, 0.5, 1.0]);
-        assert_eq!(range([0.0, f64::NAN].into_iter()), 0.1..1.0, "nothing that a logarithm can show");
+        assert_eq!(range([0.0, f64::NAN].into_iter()), 0.1..1.0, "no positive finite value");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! The figures as Markdown and CSV.
+//! Writes the measurements as Markdown and CSV.
 
 use super::row::{Row, exponents};
 use crate::cli::bench::table::row;
@@ -9,7 +9,7 @@ const HEAD: &str = "| model | preset | training, s | device | tier | ms a frame 
 |---|---|---:|---|---|---:|---:|---:|---:|---:|---:|
 ";
 
-/// The tier's name; for the Monte-Carlo tier with its samples a pixel.
+/// The name of the tier; for the Monte-Carlo tier, with its samples per pixel.
 fn tier_name(r: &Row) -> String {
     match r.quality.tier {
         Tier::MonteCarlo => format!("{}, {}", r.quality.tier.name(), r.quality.samples),
@@ -17,7 +17,7 @@ fn tier_name(r: &Row) -> String {
     }
 }
 
-/// The table below `introduction`, then how the error of the Monte-Carlo tier falls.
+/// The table below `introduction`, then the convergence rate of the Monte-Carlo tier.
 pub(super) fn markdown(introduction: &str, rows: &[Row]) -> String {
     let mut text = format!("{introduction}\n\n{HEAD}");
     for r in rows {
@@ -42,7 +42,7 @@ pub(super) fn markdown(introduction: &str, rows: &[Row]) -> String {
     text
 }
 
-/// One line for each row, below a line of column names.
+/// A header line with column names, then one line per row.
 pub(super) fn csv(rows: &[Row]) -> String {
     let mut text = "model,preset,training_seconds,device,tier,samples,frame_ms,first_frame_ms,\
                     rmse_linear,rmse_shown,rmse_truth\n"

@@ -1,8 +1,8 @@
-//! The figures that the table, the CSV and the plot show.
+//! The measurements that the table, the CSV file and the plot show.
 
 use relume_spec::rendering::{Quality, Tier};
 
-/// The figures of a model on a device with one quality, over all views and lights.
+/// The measurements of a model on a device with one quality, over all views and lights.
 pub(super) struct Row {
     pub(super) model: String,
     pub(super) preset: String,
@@ -11,17 +11,17 @@ pub(super) struct Row {
     pub(super) quality: Quality,
     /// Mean time of a frame, ms.
     pub(super) frame_ms: f64,
-    /// Mean time of the first frame under a light less `frame_ms`, ms: what the tier prepares once for each light.
+    /// Mean additional time of the first frame under a light, ms: preparation of the light for the tier.
     pub(super) first_ms: f64,
-    /// Root mean squared error of linear radiance against the Monte-Carlo tier on the same model.
+    /// Root mean squared error of linear radiance relative to the Monte-Carlo tier on the same model.
     pub(super) linear: f64,
-    /// The same of the display-referred picture on white.
+    /// The same error for the display-referred image on white.
     pub(super) shown: f64,
-    /// Against ground truth, display-referred on white.
+    /// The error relative to ground truth, display-referred on white.
     pub(super) truth: Option<f64>,
 }
 
-/// Per model, the exponent of the linear error of its Monte-Carlo rows as a power of the samples.
+/// For each model, the exponent of the linear error of its Monte-Carlo rows as a power of the samples.
 pub(super) fn exponents(rows: &[Row]) -> Vec<(String, f64)> {
     let mut models: Vec<&str> = rows.iter().map(|r| r.model.as_str()).collect();
     models.dedup();
@@ -32,7 +32,7 @@ pub(super) fn exponents(rows: &[Row]) -> Vec<(String, f64)> {
     models.into_iter().filter_map(|m| Some((m.to_owned(), exponent(&points(m))?))).collect()
 }
 
-/// Least squares in logarithms; none for fewer than two different abscissae.
+/// Least-squares fit in logarithms; `None` for fewer than two different abscissae.
 fn exponent(points: &[(f64, f64)]) -> Option<f64> {
     let logs: Vec<(f64, f64)> = points.iter().map(|(x, y)| (x.ln(), y.max(1e-300).ln())).collect();
     let n = logs.len().max(1) as f64;

@@ -1,4 +1,4 @@
-//! The container of binary glTF 2.0: a JSON document and the bytes that it describes.
+//! The container of binary glTF 2.0: a JSON document and its binary data.
 
 use serde_json::{Value, json};
 
@@ -11,17 +11,17 @@ const UNSIGNED_INT: u32 = 5125;
 /// `FLOAT`.
 const FLOAT: u32 = 5126;
 
-/// More than the 4 GiB that a `.glb` file can have.
+/// The contents exceed the 4 GiB of a `.glb` file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("a .glb file has at most 4 GiB")]
+#[error("a .glb file can have at most 4 GiB")]
 pub struct GltfTooLarge;
 
-/// What wrote a file.
+/// The `asset` object of a document.
 pub(super) fn asset() -> Value {
     json!({ "version": "2.0", "generator": concat!("Relume ", env!("CARGO_PKG_VERSION")) })
 }
 
-/// The binary part of a file and the accessors of what is in it.
+/// The binary chunk of a file and the accessors into it.
 #[derive(Default)]
 pub(super) struct Buffer {
     bytes: Vec<u8>,
@@ -30,7 +30,7 @@ pub(super) struct Buffer {
 }
 
 impl Buffer {
-    /// Adds rows of floats; the value is the index of their accessor.
+    /// Adds rows of floats; returns the index of their accessor.
     pub(super) fn rows<const N: usize>(&mut self, rows: impl ExactSizeIterator<Item = [f32; N]>) -> Value {
         let (count, kind) = (rows.len(), ["SCALAR", "VEC2", "VEC3", "VEC4"][N - 1]);
         let view = self.view(rows.flatten().flat_map(f32::to_le_bytes), Some(VERTICES));
@@ -40,7 +40,7 @@ impl Buffer {
         json!(self.accessors.len() - 1)
     }
 
-    /// Adds indices of vertices; the value is the index of their accessor.
+    /// Adds vertex indices; returns the index of their accessor.
     pub(super) fn indices(&mut self, indices: &[u32]) -> Value {
         let view = self.view(indices.iter().flat_map(|i| i.to_le_bytes()), Some(INDICES));
         self.accessors.push(json!({
@@ -49,12 +49,12 @@ impl Buffer {
         json!(self.accessors.len() - 1)
     }
 
-    /// Adds a PNG; the value describes it as an image.
+    /// Adds a PNG; returns its image object.
     pub(super) fn image(&mut self, png: &[u8]) -> Value {
         json!({ "bufferView": self.view(png.iter().copied(), None), "mimeType": "image/png" })
     }
 
-    /// Adds bytes and what they are for; the value is the index of their view.
+    /// Adds bytes with a buffer target; returns the index of their view.
     fn view(&mut self, bytes: impl Iterator<Item = u8>, target: Option<u32>) -> usize {
         let start = self.bytes.len();
         self.bytes.extend(bytes);
@@ -67,7 +67,7 @@ impl Buffer {
         self.views.len() - 1
     }
 
-    /// As [`Self::rows`], of positions, whose bounds a file has to state.
+    /// As [`Self::rows`], for positions, whose bounds a file must state.
     pub(super) fn positions(&mut self, rows: impl ExactSizeIterator<Item = [f32; 3]> + Clone) -> Value {
         let bound = |pick: fn(f32, f32) -> f32| {
             rows.clone().reduce(|a, b| std::array::from_fn(|k| pick(a[k], b[k]))).unwrap_or_default()
@@ -80,7 +80,7 @@ impl Buffer {
         index
     }
 
-    /// The container with `document`, to which buffers are added, and the binary part.
+    /// The bytes of a file with `document`, to which the buffers are added, and the binary chunk.
     pub(super) fn finish(self, mut document: Value) -> Result<Vec<u8>, GltfTooLarge> {
         document["buffers"] = json!([{ "byteLength": self.bytes.len() }]);
         (document["bufferViews"], document["accessors"]) = (json!(self.views), json!(self.accessors));

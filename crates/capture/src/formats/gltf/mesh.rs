@@ -1,21 +1,21 @@
-//! A mesh with textures, of glTF's metallic-roughness material.
+//! A textured mesh with glTF's metallic-roughness material.
 
 use glam::Vec3;
 use serde_json::json;
 
 use crate::formats::gltf::container::{Buffer, GltfTooLarge, asset};
 
-/// `LINEAR`, without smaller copies of a texture, which would mix neighbours in it that are none on the surface.
+/// `LINEAR`: no mipmaps, which would mix texels that are neighbours in the texture but not on the surface.
 const LINEAR: u32 = 9729;
 
-/// Triangles with textures, +Z up; lists by vertex have the same length.
+/// Textured triangles, +Z up. The lists of vertex attributes have the same length.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TexturedMesh {
     /// Vertices, capture units.
     pub positions: Vec<Vec3>,
     /// Unit normals of the vertices.
     pub normals: Vec<Vec3>,
-    /// Places of the vertices in the textures, 0 to 1 from their upper left corner.
+    /// Texture coordinates of the vertices, 0 to 1 from the upper left corner.
     pub texture_coordinates: Vec<[f32; 2]>,
     /// Vertices of each triangle, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
@@ -25,10 +25,10 @@ pub struct TexturedMesh {
     pub metallic_roughness: Vec<u8>,
 }
 
-/// The bytes of a `.glb` file of `mesh`, turned to +Y up.
+/// The bytes of a `.glb` file of `mesh`, rotated to +Y up.
 ///
 /// # Errors
-/// When there is more than fits.
+/// If the file would exceed 4 GiB.
 pub fn encode_mesh(mesh: &TexturedMesh) -> Result<Vec<u8>, GltfTooLarge> {
     let mut file = Buffer::default();
     let y_up = |v: &Vec3| [v.x, v.z, -v.y];

@@ -1,5 +1,5 @@
-//! Splats as binary glTF with the extension `KHR_gaussian_splatting`. Materials go along as attributes of our own
-//! (`_BASE_COLOR`, `_ROUGHNESS`, `_METALLIC`, `_NORMAL`), which readers that do not know them pass over.
+//! Splats as binary glTF with the extension `KHR_gaussian_splatting`. Materials are stored as custom attributes
+//! (`_BASE_COLOR`, `_ROUGHNESS`, `_METALLIC`, `_NORMAL`), which other readers ignore.
 
 use serde_json::{Map, Value, json};
 
@@ -8,10 +8,11 @@ use crate::formats::splats::Splats;
 
 const EXTENSION: &str = "KHR_gaussian_splatting";
 
-/// The bytes of a `.glb` file of `splats`, which have +Y up. A reader without the extension shows points in their mean colours.
+/// The bytes of a `.glb` file of `splats`, which have +Y up. A reader without the extension shows points in their
+/// mean colours.
 ///
 /// # Errors
-/// When there are more than fit.
+/// If the file would exceed 4 GiB.
 pub fn encode_splats(splats: &Splats) -> Result<Vec<u8>, GltfTooLarge> {
     let mut file = Buffer::default();
     let every = 0..splats.len();
@@ -88,7 +89,7 @@ mod tests {
         assert!((scale[0] - 0.5 * (-1f32).exp()).abs() < 1e-6, "linear: {scale:?}");
         assert!((floats("KHR_gaussian_splatting:OPACITY")[1] - 0.817_574_5).abs() < 1e-6);
         assert_eq!(floats("KHR_gaussian_splatting:SH_DEGREE_0_COEF_0")[3..], [0.0, 1.0, 2.0]);
-        // The coefficient of z becomes that of y, of -y that of z.
+        // The rotation moves the coefficient of z to y, and that of -y to z.
         let first = floats("KHR_gaussian_splatting:SH_DEGREE_1_COEF_0");
         assert!((first[3] + 6.0).abs() < 1e-5, "{first:?}");
         assert_eq!(floats("KHR_gaussian_splatting:ROTATION").len(), 8);

@@ -1,5 +1,5 @@
-//! Gaussians as programs for splats take them: shape, opacity, colour as spherical harmonics, and beside these the material.
-//! What every writer of such files begins with.
+//! Gaussians in the form that splat programs read: shape, opacity, colour as spherical harmonics, and additionally
+//! the material. All writers of splat files start from this form.
 
 mod y_up;
 
@@ -8,14 +8,14 @@ use glam::{DQuat, DVec3, Vec3};
 use relume_scene::srgb;
 use relume_scene::{Field, Model, NormalForm, sh_count};
 
-/// Highest SH degree of the colour that files of splats have.
+/// Highest SH degree of the colour in splat files.
 pub const MAX_SPLAT_SH_DEGREE: usize = 3;
-/// Value of the first harmonic.
+/// Value of the SH basis function of degree 0.
 const Y_0: f32 = 0.282_094_8;
 /// Largest magnitude of the logarithm of a standard deviation, so that the deviation itself is a positive f32.
 const MAX_LOG_SCALE: f32 = 80.0;
 
-/// What a picture of a model's surface can show of it.
+/// A surface property that a splat file can show as colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Layer {
     /// Base colour, sRGB-encoded.
@@ -39,7 +39,7 @@ pub struct SplatMaterial {
     pub roughness: f32,
 }
 
-/// Gaussians of a model in capture coordinates, every list with one entry a Gaussian.
+/// Gaussians of a model in capture coordinates. Every list has one entry per Gaussian.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Splats {
     /// Centres, capture units.
@@ -52,16 +52,18 @@ pub struct Splats {
     pub opacity_logits: Vec<f32>,
     /// SH degree of the colour, at most [`MAX_SPLAT_SH_DEGREE`].
     pub degree: usize,
-    /// `(degree + 1)^2` coefficients a Gaussian, `l * l + l + m`, of the sRGB-encoded colour minus 1/2 by the direction from the camera.
+    /// `(degree + 1)^2` coefficients per Gaussian, index `l * l + l + m`: SH of the sRGB-encoded colour minus 1/2, by
+    /// the direction from the camera.
     pub harmonics: Vec<[f32; 3]>,
-    /// Shading normals, unit; zero where a model has none.
+    /// Unit shading normals; zero if the model has none.
     pub normals: Vec<Vec3>,
     /// Materials.
     pub materials: Vec<SplatMaterial>,
 }
 
 impl Splats {
-    /// The Gaussians of a checked model with the colour of its radiance branch; degrees beyond [`MAX_SPLAT_SH_DEGREE`] are left out.
+    /// The Gaussians of a checked model with the colour of its radiance branch. Degrees above [`MAX_SPLAT_SH_DEGREE`]
+    /// are left out.
     pub fn of(model: &Model) -> Self {
         let g = &model.gaussians;
         let every = 0..g.len();
@@ -85,7 +87,7 @@ impl Splats {
         self.positions.len()
     }
 
-    /// True when there are none.
+    /// True without Gaussians.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
@@ -111,7 +113,7 @@ impl Splats {
         self.harmonics(i)[0].map(|c| srgb::decode(0.5 + Y_0 * c))
     }
 
-    /// The same with a layer of the surface for colour, equal from all sides.
+    /// Copies with a surface property as colour, equal in all directions.
     #[must_use]
     pub fn painted(mut self, layer: Layer) -> Self {
         let shown = |i: usize| {
@@ -128,8 +130,8 @@ impl Splats {
         self
     }
 
-    /// The same with every Gaussian turned, by the smallest angle, until its shortest axis is its shading normal: programs
-    /// that know no normals take that axis for one.
+    /// Copies with every Gaussian rotated by the smallest angle that makes its shortest axis the shading normal.
+    /// Programs without normals use that axis as the normal.
     #[must_use]
     pub fn flattened(mut self) -> Self {
         for ((rotation, scales), normal) in self.rotations.iter_mut().zip(&self.log_scales).zip(&self.normals)
@@ -185,8 +187,8 @@ pub(super) fn albedo(model: &Model, i: usize) -> [f32; 3] {
     })
 }
 
-/// The shading normal. A renderer turns the shortest axis to its camera. A file has no camera, so the axis is turned
-/// to its outward side.
+/// The shading normal. A renderer flips the shortest axis towards its camera; a file has no camera, so the axis
+/// points to its outward side.
 fn normal(model: &Model, i: usize) -> Vec3 {
     let g = &model.gaussians;
     let own = Vec3::from(g.get::<3>(Field::Normal, i));
@@ -272,7 +274,7 @@ pub(super) mod tests {
         assert!(axis(&before).dot(before.normals[1]).abs() < 0.95, "the control");
         let after = before.clone().flattened();
         assert!(axis(&after).dot(after.normals[1]).abs() > 1.0 - 1e-6);
-        assert_eq!(after.rotations[0], before.rotations[0], "one whose normal is its axis");
+        assert_eq!(after.rotations[0], before.rotations[0], "its normal is already its axis");
         assert_eq!(Splats { rotations: before.rotations.clone(), ..after }, before);
     }
 

@@ -1,5 +1,5 @@
-//! From +Z up, as models have it, to +Y up, as glTF and USD scenes do: a quarter turn about +X of everything that has a
-//! direction, colour included, so that no reader has to turn harmonics.
+//! Conversion from +Z up, as in models, to +Y up, as in glTF and USD: a quarter turn about +X of everything that has
+//! a direction. This includes the colour, so that readers need not rotate spherical harmonics.
 
 use glam::{DQuat, DVec3, Vec3};
 
@@ -15,11 +15,11 @@ const HEIGHTS: [(f64, f64); 4] = [
     (0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
     (0.861_136_311_594_052_6, 0.347_854_845_137_453_85),
 ];
-/// Directions round each of those heights.
+/// Number of directions at each of those heights.
 const ROUND: usize = 8;
 
 impl Splats {
-    /// The same with +Y up instead of +Z.
+    /// Converts +Z up to +Y up.
     #[must_use]
     pub fn with_y_up(mut self) -> Self {
         let turn = DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2);
@@ -40,7 +40,8 @@ impl Splats {
     }
 }
 
-/// `M[j][k] = int Y_j(w) Y_k(turn^-1 w) dw`: coefficients after the turn from those before, up to [`MAX_SPLAT_SH_DEGREE`].
+/// `M[j][k] = int Y_j(w) Y_k(turn^-1 w) dw`, which maps SH coefficients to those of the rotated function, up to
+/// [`MAX_SPLAT_SH_DEGREE`].
 fn sh_rotation_matrix(turn: DQuat) -> [[f64; COUNT]; COUNT] {
     let mut out = [[0.0; COUNT]; COUNT];
     for (z, weight) in HEIGHTS {
@@ -57,7 +58,7 @@ fn sh_rotation_matrix(turn: DQuat) -> [[f64; COUNT]; COUNT] {
             }
         }
     }
-    // What the rule leaves of entries that are zero would put -0.0 and 1e-17 into files.
+    // Rounding of entries that are exactly zero would write -0.0 and 1e-17 to files.
     out.map(|row| row.map(|v| if v.abs() < 1e-12 { 0.0 } else { v }))
 }
 

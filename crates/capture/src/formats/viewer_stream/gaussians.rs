@@ -1,4 +1,4 @@
-//! The Gaussians of a model, as a viewer shades and draws them.
+//! The Gaussians of a model in the form that a viewer shades and draws.
 
 use serde_json::{Map, Value, json};
 
@@ -8,21 +8,21 @@ use crate::formats::viewer_stream::quantity::Quantity;
 use relume_scene::{Field, Framing, Gaussians, Model, NormalForm};
 
 const MAGIC: [u8; 4] = *b"RLMG";
-/// Logits beyond are 0 or 1 to all that is shown of them.
+/// Greatest magnitude of a logit; larger ones display as 0 or 1.
 const MAX_LOGIT: f32 = 12.0;
-/// Beyond it sheen counts no more (docs/MODEL.md section 1).
+/// Greatest magnitude of sheen that has an effect (docs/MODEL.md section 1).
 const MAX_SHEEN: f32 = 3.0;
-/// Logarithms of standard deviations are limited to this as they are drawn.
+/// Greatest magnitude of the logarithm of a standard deviation when drawn.
 const MAX_LOG_SCALE: f32 = 60.0;
 
-/// Indices of the Gaussians, the most important first: by opacity times the area of the broadest side, then by index.
+/// Indices of the Gaussians by decreasing importance: opacity times the area of the broadest side; ties by index.
 pub fn importance_order(g: &Gaussians) -> Vec<usize> {
     let importance: Vec<f32> = (0..g.len())
         .map(|i| {
             let mut scales = g.get::<3>(Field::LogScale, i).map(|s| s.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE));
             scales.sort_by(f32::total_cmp);
             let area = scales[1] + scales[2];
-            // In logarithms, which do not overflow.
+            // Computed in logarithms, which do not overflow.
             area - (-g.row(Field::OpacityLogit, i)[0]).clamp(-80.0, 80.0).exp().ln_1p()
         })
         .collect();
@@ -31,7 +31,7 @@ pub fn importance_order(g: &Gaussians) -> Vec<usize> {
     order
 }
 
-/// The stream of a model's Gaussians; `framing` is a view of it that a viewer may begin with.
+/// The stream of a model's Gaussians. `framing` is the viewer's initial view.
 pub fn encode_gaussians(model: &Model, framing: &Framing) -> Vec<u8> {
     let g = &model.gaussians;
     let order = importance_order(g);
@@ -71,27 +71,28 @@ fn facts(model: &Model, framing: &Framing) -> Map<String, Value> {
     ])
 }
 
-/// Unit quaternion; the identity for one of length 0.
+/// Unit quaternion; the identity for a quaternion of length 0.
 fn rotation(g: &Gaussians, i: usize) -> [f32; 4] {
     let q = g.get::<4>(Field::Quaternion, i);
     let length = q.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
     if length > 1e-12 { q.map(|v| (f64::from(v) / length) as f32) } else { [1.0, 0.0, 0.0, 0.0] }
 }
 
-/// The normal, or what is added to the shortest axis; neither grows so long that half floats lose it.
+/// The normal field, shortened where its length would exceed the precision of half floats.
 fn normal(model: &Model, i: usize) -> [f32; 3] {
     let raw = model.gaussians.get::<3>(Field::Normal, i);
     let length = raw.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
     let most = match model.shading.normal {
         NormalForm::Free => 1.0,
-        // A direction alone, next to an axis of length 1.
+        // At this length the axis of length 1 no longer affects the direction.
         NormalForm::ShortestAxis => 1e4,
     };
     let is_kept = length <= most && model.shading.normal == NormalForm::ShortestAxis;
     if is_kept || length <= 1e-12 { raw } else { raw.map(|v| (f64::from(v) / length * most) as f32) }
 }
 
-/// Log-scales `[Gaussian][3]` whose shortest axis stays the shortest in 65,536 steps between the bounds, for it gives the normal.
+/// Log-scales `[Gaussian][3]` and their bounds. The shortest axis, which gives the normal, stays the shortest after
+/// quantisation to 65,536 steps.
 fn separated(mut log_scales: Vec<f32>) -> ([f32; 2], Vec<f32>) {
     let low = log_scales.iter().copied().reduce(f32::min).unwrap_or(0.0);
     let high = log_scales.iter().copied().reduce(f32::max).unwrap_or(0.0);

@@ -1,4 +1,4 @@
-//! A light, as a viewer shades the Gaussians of one model with it.
+//! A light in the form with which a viewer shades the Gaussians of one model.
 
 use serde_json::{Map, Value, json};
 
@@ -8,35 +8,35 @@ use relume_scene::{EnvMap, MAX_LIGHTS, SplitLight};
 
 const MAGIC: [u8; 4] = *b"RLML";
 
-/// A light prepared for a model.
+/// A light prepared for one model.
 pub struct StreamedLight<'a> {
     /// Tables of the reflectance model: pairs `[roughness][n.v]` of scale and bias, then attenuations `[roughness][degree]`.
     pub reflectance: Vec<f32>,
-    /// Diffuse transfer `[node][rgb][coefficient]`, prefiltered radiance `[node][rgb]` level after level, then the irradiance RGB of
-    /// [`MAX_LIGHTS`] lights, zero beyond the last.
+    /// Diffuse transfer `[node][rgb][coefficient]`, prefiltered radiance `[node][rgb]` level by level, then the RGB
+    /// irradiance of [`MAX_LIGHTS`] lights, zero beyond the last.
     pub tables: Vec<f32>,
     /// Nodes along an edge of the cube grid of normals.
     pub diffuse_nodes: usize,
-    /// Coefficients a colour has in the diffuse transfer, padding included.
+    /// Coefficients per colour in the diffuse transfer, including padding.
     pub coefficients: usize,
     /// Nodes along an edge of the grid of each level.
     pub specular_nodes: Vec<usize>,
-    /// Lights beside the tables.
+    /// Lights that are not part of the tables.
     pub lights: &'a [SplitLight],
-    /// What reaches each Gaussian beside them, in the order of the stream.
+    /// Light at each Gaussian that is not part of the tables, in the order of the stream.
     pub surfaces: Vec<StreamedSurface>,
-    /// What stands behind the model, where that is wanted.
+    /// The background of the model, if requested.
     pub map: Option<EnvMap>,
 }
 
-/// Light that reaches a Gaussian.
+/// Light that arrives at a Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StreamedSurface {
     /// Irradiance from other surfaces, RGB, W/m^2.
     pub gathered: [f32; 3],
-    /// Mean radiance from where the environment is blocked, RGB, W/(m^2 sr).
+    /// Mean radiance from the directions in which the environment is blocked, RGB, W/(m^2 sr).
     pub blocked: [f32; 3],
-    /// Share of each light beside the tables that arrives, 0 to 1.
+    /// Share of each separate light that arrives, 0 to 1.
     pub arriving: [f32; MAX_LIGHTS],
 }
 

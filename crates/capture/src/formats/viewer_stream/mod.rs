@@ -1,5 +1,5 @@
-//! What a viewer draws a model with, as bytes that are of use before all of them have come (docs/viewer-stream.md): a header in
-//! JSON, arrays, then one record a Gaussian, the most important Gaussian first.
+//! The data with which a viewer draws a model, usable before the download is complete (docs/viewer-stream.md): a JSON
+//! header, arrays, then one record per Gaussian in the order of decreasing importance.
 
 mod gaussians;
 mod light;
@@ -12,10 +12,10 @@ use serde_json::{Map, Value, json};
 
 use quantity::Quantity;
 
-/// Version of both streams. A viewer refuses one that it does not know.
+/// Version of both streams. A viewer refuses unknown versions.
 pub const VERSION: u32 = 1;
 
-/// Header, arrays and records; all quantities of `records` have as many rows.
+/// Header, arrays and records. All quantities of `records` have the same number of rows.
 fn encode(
     magic: [u8; 4],
     mut facts: Map<String, Value>,

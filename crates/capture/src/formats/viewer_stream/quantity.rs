@@ -1,22 +1,22 @@
-//! A quantity of a stream: a name, rows of values, and how a value is stored.
+//! A quantity of a stream: a name, rows of values, and their encoding.
 
 use half::f16;
 use serde_json::{Value, json};
 
-/// How a value is stored, little-endian.
+/// Encoding of a value, little-endian.
 #[derive(Debug, Clone, PartialEq)]
 enum ValueEncoding {
-    /// As it is.
+    /// Unchanged.
     F32,
     /// Divided by a scale.
     F16 { scale: f32 },
-    /// As a part of the way from the least to the greatest value of its column.
+    /// Fraction of the range from the least to the greatest value of the column, in 65,536 steps.
     U16 { low: Vec<f32>, high: Vec<f32> },
-    /// Likewise, in 256 steps.
+    /// As `U16`, in 256 steps.
     U8 { low: Vec<f32>, high: Vec<f32> },
 }
 
-/// A quantity: `components` values a row.
+/// A quantity with `components` values per row.
 #[derive(Debug, Clone)]
 pub(super) struct Quantity {
     name: &'static str,
@@ -26,25 +26,25 @@ pub(super) struct Quantity {
 }
 
 impl Quantity {
-    /// In full.
+    /// Values as f32.
     pub(super) fn full(name: &'static str, components: usize, values: Vec<f32>) -> Self {
         Self { name, components, encoding: ValueEncoding::F32, values }
     }
 
-    /// As half floats, scaled so that the largest is in their range.
+    /// Values as half floats, scaled so that the largest is in range.
     pub(super) fn half(name: &'static str, components: usize, values: Vec<f32>) -> Self {
         let most = values.iter().fold(0.0f32, |most, v| most.max(v.abs()));
         let scale = if most > 0.0 { (most / 32768.0).max(f32::MIN_POSITIVE) } else { 1.0 };
         Self { name, components, encoding: ValueEncoding::F16 { scale }, values }
     }
 
-    /// In 65,536 steps between the bounds of each column.
+    /// Values in 65,536 steps between the bounds of each column.
     pub(super) fn fine(name: &'static str, components: usize, values: Vec<f32>) -> Self {
         let (low, high) = bounds(components, &values);
         Self { name, components, encoding: ValueEncoding::U16 { low, high }, values }
     }
 
-    /// In 65,536 steps between bounds that all columns share.
+    /// Values in 65,536 steps between bounds that all columns share.
     pub(super) fn fine_within(
         name: &'static str,
         components: usize,
@@ -55,7 +55,7 @@ impl Quantity {
         Self { name, components, encoding, values }
     }
 
-    /// In 256 steps between the bounds of each column.
+    /// Values in 256 steps between the bounds of each column.
     pub(super) fn coarse(name: &'static str, components: usize, values: Vec<f32>) -> Self {
         let (low, high) = bounds(components, &values);
         Self { name, components, encoding: ValueEncoding::U8 { low, high }, values }
@@ -74,7 +74,7 @@ impl Quantity {
             }
     }
 
-    /// What a reader has to know of it. The count is that of an array; records say theirs once.
+    /// Description for a reader. `count` is the number of rows.
     pub(super) fn to_json(&self) -> Value {
         let how = match &self.encoding {
             ValueEncoding::F32 => json!({ "type": "f32" }),
@@ -104,7 +104,7 @@ impl Quantity {
     }
 }
 
-/// How many of `steps` lie between `low` and `value`, of those to `high`, rounded.
+/// Position of `value` between `low` and `high`, in `steps` steps, rounded.
 fn share(value: f32, low: f32, high: f32, steps: f32) -> f32 {
     let span = high - low;
     if span > 0.0 { ((value - low) / span).clamp(0.0, 1.0).mul_add(steps, 0.5).floor() } else { 0.0 }

@@ -6,11 +6,11 @@ use serde_json::Value;
 use super::*;
 use relume_scene::{EnvMap, Field, Framing, Gaussians, MAX_LIGHTS, Model, ShadingOptions, SplitLight};
 
-/// A stream taken apart as its document says.
+/// A decoded stream.
 struct Read {
     header: Value,
     arrays: Vec<Vec<f32>>,
-    /// By field, all rows.
+    /// All rows of each field, by name.
     records: Vec<(String, Vec<f32>)>,
 }
 
@@ -58,7 +58,7 @@ fn read(mut bytes: &[u8], magic: &[u8; 4]) -> Read {
     Read { header, arrays, records }
 }
 
-/// Gaussians of all sorts, none like another.
+/// Gaussians with distinct values, including extreme ones.
 fn model() -> Model {
     let mut gaussians = Gaussians::zeroed(50, 2, 2, 1);
     let mut state = 7u32;
@@ -70,7 +70,7 @@ fn model() -> Model {
         values.iter_mut().for_each(|v| *v = random());
     }
     gaussians.row_mut(Field::Mean, 3)[0] = 250.0;
-    // Nearly round: the shortest axis is told by the last digits.
+    // Nearly round: the last digits decide the shortest axis.
     gaussians.row_mut(Field::LogScale, 4).copy_from_slice(&[-2.0, -2.000_001, -2.0]);
     gaussians.row_mut(Field::LogScale, 5).fill(-3.0);
     gaussians.row_mut(Field::LogScale, 6).fill(-70.0);
@@ -92,7 +92,7 @@ fn model() -> Model {
 
 const FRAMING: Framing = Framing { eye: DVec3::X, target: DVec3::ZERO, fov_deg: 40.0 };
 
-/// The greatest difference of what `field` says from `truth`.
+/// The greatest difference between the values of `field` and `truth`.
 fn error(read: &Read, field: &str, truth: &[f32]) -> f64 {
     let (_, values) = read.records.iter().find(|(name, _)| name == field).unwrap();
     largest_difference(values, truth)
@@ -155,7 +155,7 @@ fn important_gaussians_come_first() {
         g.row_mut(Field::LogScale, i).fill(scale.ln());
         g.row_mut(Field::OpacityLogit, i)[0] = *logit;
     }
-    assert_eq!(importance_order(&g), [1, 3, 2, 0, 4], "equals by index");
+    assert_eq!(importance_order(&g), [1, 3, 2, 0, 4], "ties by index");
 }
 
 #[test]

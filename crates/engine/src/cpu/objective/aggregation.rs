@@ -1,4 +1,4 @@
-//! Aggregation (Eq. 24): each Gaussian is to be of one prototype. Sixteen Gaussians in SIMD lanes.
+//! Aggregation (Eq. 24): the term that makes each Gaussian use one prototype. Sixteen Gaussians in SIMD lanes.
 
 use multiversion::multiversion;
 use rayon::prelude::*;
@@ -41,7 +41,7 @@ pub fn aggregation(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
 fn of_sixteen(p: &mut [Lanes], by: &mut [Lanes], scale: f32) -> Lanes {
     softmax_lanes(p);
     let rest = |v: f32| if 1.0 - v > EPSILON { 1.0 - v } else { EPSILON };
-    // prod_{j != k} (1 - p_j) = all / (1 - p_k), never divided by less than epsilon.
+    // prod_{j != k} (1 - p_j) = all / (1 - p_k); the divisor is at least epsilon.
     let mut all = Lanes::ONE;
     for p in p.iter() {
         (0..LANES).for_each(|i| all.0[i] *= rest(p.0[i]));

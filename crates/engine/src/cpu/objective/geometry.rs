@@ -19,7 +19,7 @@ fn cross(a: Vec3, b: Vec3) -> Vec3 {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Where a pixel's plane is hit: `t = D / (N . ray)` along the unnormalised ray (z_c = 1), or `None`.
+/// Depth of the pixel's plane: `t = D / (N . ray)` along the unnormalised ray (z_c = 1), or `None`.
 fn plane_depth(pass: &Pass, x: usize, y: usize) -> Option<f32> {
     if pass.at(x, y, channel::COVERAGE) < TRUSTED_COVERAGE {
         return None;
@@ -89,7 +89,7 @@ pub fn depth_normal(pass: &Pass, weight: f32, out: &mut [BufferGradient]) -> f32
         })
         .collect();
     let total: f64 = terms.iter().flatten().map(|term| f64::from(term.loss)).sum();
-    // What the term `back` pixels before says of its neighbour `k`: this pixel.
+    // Gradient of the term `back` pixels before by its neighbour `k`, which is this pixel.
     let by_depth_of = |i: usize, back: usize, k: usize| {
         let term = i.checked_sub(back).and_then(|i| terms[i].as_ref());
         term.map_or(0.0, |term| term.by_depth[k])
@@ -113,7 +113,7 @@ pub fn depth_normal(pass: &Pass, weight: f32, out: &mut [BufferGradient]) -> f32
     total as f32
 }
 
-/// Derivatives of one pair's `weight |b - a| exp(-edge)` by its second attributes; by the first they are the opposite.
+/// Derivatives of one pair's `weight |b - a| exp(-edge)` by its second attributes `b`; those by `a` are the negatives.
 fn pair_derivatives(
     weights: &[f32; 5],
     image_a: Vec3,
@@ -150,8 +150,8 @@ pub fn smoothness(pass: &Pass, image: &[[f32; 3]], weights: [f32; 3], out: &mut 
     let scale = [(w - 1) * h, w * (h - 1)].map(|pairs| {
         [metal, rough, normal / 3.0, normal / 3.0, normal / 3.0].map(|weight| weight / pairs as f32)
     });
-    // Every pixel looks at its up to four pairs itself, so that rows can go in parallel; a pair's value is its first
-    // pixel's.
+    // Every pixel computes its up to four pairs itself, so that rows can run in parallel. The first pixel of a pair counts
+    // its value.
     let pixel = |i: usize| -> ([f32; 5], f64) {
         let (x, y) = (i % w, i / w);
         let mut by = [0.0f32; 5];

@@ -1,7 +1,7 @@
 //! Image term: mean absolute error and structural similarity (Eq. 30).
 //!
-//! SSIM with an 11-tap Gaussian window, sigma 1.5, zero padding, the mean over all pixels and channels (the form 3DGS
-//! uses). The photograph's own statistics are computed once for both branches.
+//! SSIM has an 11-tap Gaussian window, sigma 1.5, zero padding, and is the mean over all pixels and channels (the form of
+//! 3DGS). The photograph's own statistics are computed once for both branches.
 
 use multiversion::multiversion;
 use rayon::prelude::*;
@@ -20,7 +20,7 @@ pub struct Target<'p> {
     channels: Vec<ChannelStatistics>,
 }
 
-/// One colour of a photograph.
+/// One colour channel of a photograph.
 #[derive(Debug, Clone)]
 struct ChannelStatistics {
     plane: Vec<f32>,
@@ -62,7 +62,7 @@ impl<'p> Target<'p> {
         Self { width, height, pixels, channels }
     }
 
-    /// Compares an image with the photograph; weights as in docs/MODEL.md section 5.
+    /// Compares an image with the photograph; weights as in docs/MODEL.md, section 5.
     pub fn compare(&self, image: &[[f32; 3]], weights: ImageWeights) -> ImageLoss {
         let ImageWeights { l1, ssim } = weights;
         let scale = 1.0 / (3 * image.len()).max(1) as f32;
@@ -146,7 +146,7 @@ fn similarities(means: &Means<'_>, weight: f32, similarity: &mut [f32], by: &mut
     }
 }
 
-/// Pixels whose sums stay in registers.
+/// Number of pixels whose sums stay in registers.
 const BLOCK: usize = 32;
 
 /// Separable Gaussian blur with zero padding.
@@ -260,7 +260,7 @@ mod tests {
         let analytic = target.compare(&image, weights).gradient;
         for i in [0, 5, 70, 100, w * h - 1] {
             for c in 0..3 {
-                // The absolute error has no derivative where image and photograph agree.
+                // The absolute error has no derivative where image and photograph are equal.
                 if (image[i][c] - target.pixels[i][c]).abs() < 5e-3 {
                     continue;
                 }

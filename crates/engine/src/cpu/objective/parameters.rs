@@ -96,7 +96,7 @@ pub fn backward_labels(
         } else {
             let v = raw.clamp(LABEL_MARGIN, 1.0 - LABEL_MARGIN);
             let derivative = (1.0 - p) / (1.0 - v) - p / v;
-            // Outside the margin only a derivative that leads back in passes.
+            // Outside the margin only a derivative that leads back inside passes.
             let leads_away = (raw < v && derivative > 0.0) || (raw > v && derivative < 0.0);
             (v, if leads_away { 0.0 } else { derivative })
         };
@@ -131,8 +131,8 @@ pub fn flatness(g: &Gaussians, weight: f32, out: &mut Gradients) -> f32 {
     sum(&values)
 }
 
-/// `weight ln(Y / (pi Y'))^2` with Y the luminance of the irradiance of a surface facing up, and Y' what a well-exposed
-/// photograph shows of a white one. It fixes the scale that light and albedo could trade. `(value, gradient by radiance)`.
+/// `weight ln(Y / (pi Y'))^2`: Y is the luminance of the irradiance of a surface facing up, Y' the luminance of a white one in
+/// a well-exposed photograph. The term fixes the scale, which light and albedo could trade. `(value, gradient by radiance)`.
 pub fn exposure(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f32) -> (f32, Vec<[f32; 3]>) {
     let up: f32 = radiance.iter().zip(texels).map(|(l, t)| upward_share(t) * luminance(*l)).sum();
     let log = (up.max(1e-6) / UPWARD_LUMINANCE).ln();
@@ -140,8 +140,8 @@ pub fn exposure(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f3
     (weight * log * log, texels.iter().map(|t| by_up.map(|g| g * upward_share(t))).collect())
 }
 
-/// `weight ((b - b')^2 + (g - g')^2)` with (b, g) the [`LightColour`] of the irradiance of a surface facing up and (b', g')
-/// the `wanted` one: the colour that light and albedo could trade. `(value, gradient by radiance)`.
+/// `weight ((b - b')^2 + (g - g')^2)`: (b, g) is the [`LightColour`] of the irradiance of a surface facing up, (b', g') the
+/// `wanted` one. The term fixes the colour, which light and albedo could trade. `(value, gradient by radiance)`.
 pub fn light_colour(
     radiance: &[[f32; 3]],
     texels: &[(glam::DVec3, f64)],

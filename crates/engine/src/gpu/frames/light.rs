@@ -6,27 +6,27 @@ use crate::gpu::Buffer;
 use crate::gpu::light::LightBuffers;
 use crate::gpu::rays::EnvironmentBuffers;
 
-/// A light in device memory, with what the model's surfaces send back under it.
+/// A light in device memory, with the light that the model's surfaces send each other under it.
 pub(super) struct GpuFrameLight {
     /// Its tables.
     pub buffers: LightBuffers,
-    /// Light that surfaces send each other, then the share of each light beside the tables that arrives.
+    /// Gathered light, then the arriving share of each dominant light.
     pub gathered: Option<Buffer<f32>>,
-    /// What rays make of it.
+    /// Its resources for rays.
     pub by_rays: RayResources,
 }
 
-/// What rays make of a light, once they were needed.
+/// Resources of a light for rays, created on first use.
 #[derive(Default)]
 pub(super) struct RayResources {
-    /// Tables of what is left without the sharp lights.
+    /// Tables of the environment without the sharp lights.
     pub rest: OnceLock<LightBuffers>,
-    /// The environment to draw directions from.
+    /// The environment as a sampler of directions.
     pub environment: OnceLock<EnvironmentBuffers>,
 }
 
 impl GpuFrameLight {
-    /// One that no ray was asked for yet.
+    /// A light without resources for rays.
     pub fn new(buffers: LightBuffers, gathered: Option<Buffer<f32>>) -> Self {
         Self { buffers, gathered, by_rays: RayResources::default() }
     }

@@ -31,15 +31,15 @@ use relume_scene::Output;
 use relume_scene::light::LightTables;
 use relume_scene::{IndirectForm, Model, ShadingOptions, SplitLight};
 
-/// Fewest pixels of a frame that a thread takes apart.
+/// Smallest number of pixels per thread when a frame is unpacked.
 const SPLIT: usize = 1 << 14;
 
-/// Memory that frames use one after the other.
+/// Memory that successive frames share.
 struct Scratch {
     raster: Raster,
     planes: Option<Planes>,
     rays: RayMemory,
-    /// What hides what, once it was needed: it does not depend on the light.
+    /// Measured visibility, created on first use; independent of the light.
     probes: Option<ProbeBuffers>,
 }
 
@@ -52,7 +52,7 @@ pub struct GpuFrameRenderer {
     sh_degree: usize,
     constants: Constants,
     scratch: Mutex<Scratch>,
-    /// What hides what along a ray, once it was needed.
+    /// The tree of occluders for rays, created on first use.
     tree: OnceLock<TreeBuffers>,
 }
 
@@ -115,8 +115,8 @@ impl GpuFrameRenderer {
         }
     }
 
-    /// What `draw` makes of a projected view of `source`, drawn again where the view's lists were short. Another thread may
-    /// record its frame while this one waits for the device.
+    /// The result of `draw` for a projected view of `source`; drawn again when the view's tile lists were too short. Another
+    /// thread may record its frame while this one waits for the device.
     fn draw(
         &self,
         view: &RasterCamera,
@@ -131,7 +131,7 @@ impl GpuFrameRenderer {
             let list_status = recorder.fetch(projected.list_status(), 0..projected.list_status().len());
             let drawn = draw(&mut recorder, projected, FrameScratch { planes, rays })?;
             let submission = recorder.submit()?;
-            // The device works in the order of submissions: what the next frame writes, this one has brought back.
+            // The device executes submissions in order: this frame is copied before the next one writes.
             drop(scratch);
             let arrival = submission.wait_for_data()?;
             if locked(&self.scratch).raster.apply_list_status(&arrival.read(&list_status)?)? {
@@ -140,7 +140,7 @@ impl GpuFrameRenderer {
         }
     }
 
-    /// A picture whose G-buffer no binding holds is made band by band: `band` gives the outputs of a view and is told its first
+    /// Renders a frame whose G-buffer exceeds one binding in bands: `band` returns the outputs of a view, given its first
     /// row.
     fn in_bands(
         &self,
@@ -164,7 +164,7 @@ impl GpuFrameRenderer {
         Ok(frame)
     }
 
-    /// Coverage and colour from Gaussians that are shaded before they are blended.
+    /// Coverage and colour from Gaussians that are shaded before blending.
     fn colours(
         &self,
         recorder: &mut Recorder<'_>,
@@ -217,17 +217,17 @@ impl GpuFrameRenderer {
     }
 }
 
-/// Memory of [`Scratch`] that a drawing takes.
+/// Memory of [`Scratch`] that one frame uses.
 struct FrameScratch<'a> {
     planes: &'a mut Option<Planes>,
     rays: &'a mut RayMemory,
 }
 
-/// What a submission brings back of a frame.
+/// Outputs of a frame that a submission copies to the host.
 enum PendingOutputs {
     /// Coverage and colour of each pixel.
     Colours(ReadbackTicket<[f32; 4]>),
-    /// Each output by itself.
+    /// Each output separately.
     Outputs(Vec<(Output, ReadbackTicket<f32>)>),
 }
 

@@ -1,4 +1,4 @@
-//! Frames whose light is looked for along rays.
+//! Frames with light that is traced along rays.
 
 use std::sync::OnceLock;
 
@@ -13,7 +13,7 @@ use crate::{DeviceError, Frame, FrameJob, RasterCamera, RayLight, RayTree, indir
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{DominantLight, EnvSampler, LightTables, SampleCounts};
 
-/// What `cell` holds, or what `make` gives from now on. Where two make it, one of the two is dropped.
+/// The value of `cell`, initialised by `make` if empty. When two threads initialise it, one value is dropped.
 fn get_or_try_init<T>(
     cell: &OnceLock<T>,
     make: impl FnOnce() -> Result<T, DeviceError>,
@@ -26,7 +26,7 @@ fn get_or_try_init<T>(
 }
 
 impl GpuFrameRenderer {
-    /// A frame with light that is looked for along `rays`.
+    /// A frame with the light `rays`, traced along rays.
     pub(super) fn trace(
         &self,
         job: &FrameJob<'_>,
@@ -51,7 +51,7 @@ impl GpuFrameRenderer {
         LightBuffers::upload(&self.gpu, rest, self.sh_degree, &indirect_basis(rest))
     }
 
-    /// From the tables of the rest, with a shadow of each light.
+    /// A frame from the tables of the rest, with a traced shadow for each light.
     fn under_sharp_lights(
         &self,
         job: &FrameJob<'_>,
@@ -76,7 +76,7 @@ impl GpuFrameRenderer {
         })
     }
 
-    /// By Monte-Carlo.
+    /// A frame by Monte-Carlo.
     fn sampled(
         &self,
         job: &FrameJob<'_>,

@@ -1,4 +1,4 @@
-//! How much of the lights beside the tables arrives at each Gaussian: the port of [`crate::cpu::arriving`].
+//! Arriving share of each dominant light at each Gaussian: the port of [`crate::cpu::arriving`].
 
 use bytemuck::{Pod, Zeroable};
 
@@ -8,7 +8,7 @@ use crate::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
 use crate::{DeviceError, ProbeSettings, towards_light};
 use relume_scene::{MAX_LIGHTS, ShadingOptions, SplitLight, VisibilityForm};
 
-/// Floats of what is gathered, a Gaussian.
+/// Floats of gathered light per Gaussian.
 pub const GATHERED: usize = 6;
 
 /// `LightShares` of `light_shares.wgsl`.
@@ -25,13 +25,13 @@ pub(super) struct LightShares {
 /// Measured transmittance towards the lights of an environment.
 pub struct LightProbes {
     n_directions: [u32; MAX_LIGHTS],
-    /// By direction, then Gaussian.
+    /// `[direction][Gaussian]`.
     transmittance: Buffer<f32>,
 }
 
 impl LightProbes {
-    /// Measures `lights` from every Gaussian of the model in `params`; none where there are no lights or nothing is
-    /// occluded, and then all of them arrives.
+    /// Measures `lights` from every Gaussian of the model in `params`. `None` without lights and for the visibility form
+    /// `Off`: the lights then arrive unshadowed.
     ///
     /// # Errors
     /// As [`probes::measure`].
@@ -54,8 +54,8 @@ impl LightProbes {
     }
 }
 
-/// What is measured of the light of `n` Gaussians before anything is gathered: zeros, and behind them what arrives of the
-/// lights of `probes`.
+/// Measured light of `n` Gaussians before light is gathered: zeros, followed by the arriving shares of the lights of
+/// `probes`.
 ///
 /// # Errors
 /// As [`Gpu::buffer`].

@@ -1,4 +1,4 @@
-//! Bounced light on the device: the port of [`crate::cpu::Transport`] (docs/MODEL.md section 6).
+//! Gathered light on the device: the port of [`crate::cpu::Transport`] (docs/MODEL.md, section 6).
 
 use bytemuck::{Pod, Zeroable};
 
@@ -23,11 +23,11 @@ struct GatherSize {
     pad: u32,
 }
 
-/// Gathered irradiance and mean blocked radiance after `bounces` rounds: six floats a Gaussian, and behind those of all of
-/// them what arrives of the lights of `lights`, where they were measured ([`ungathered`]).
+/// Gathered irradiance and mean blocked radiance after `bounces` rounds: six floats per Gaussian, followed, where `lights`
+/// were measured, by their arriving shares for all Gaussians ([`ungathered`]).
 ///
-/// `probes` are of the same model; what hides what does not depend on the light, so one measurement serves any number
-/// of lights. The environment is seen through the visibility field that the parameters hold now.
+/// `probes` must belong to the same model. Occlusion does not depend on the light, so one measurement serves any number of
+/// lights. The environment is weighted by the visibility field in the current parameters.
 ///
 /// # Errors
 /// [`DeviceError::Misuse`] for probes of another model or buffers that are too short, or as

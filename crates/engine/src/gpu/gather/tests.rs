@@ -1,4 +1,4 @@
-//! The gathering against the CPU engine.
+//! Gathered light against the CPU engine.
 
 use super::*;
 use crate::cpu::{Transport, outward_normals};
@@ -23,7 +23,7 @@ struct GatherCase {
 }
 
 impl GatherCase {
-    /// What the device and the CPU gather, from the device's probes.
+    /// Gathered light of the device and of the CPU, both from the device's probes.
     fn gathered(&self, gpu: &Gpu) -> (Vec<f32>, Vec<f32>) {
         let ProbeScene { gaussians, prototypes, .. } = &self.scene;
         let probes = self.scene.on_device(gpu, ProbeSettings::default(), &fibonacci_sphere(32));

@@ -1,4 +1,4 @@
-//! The tables that surfaces are shaded with.
+//! Light tables for shading, in device memory.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -7,14 +7,14 @@ use crate::gpu::{Buffer, Gpu};
 use relume_scene::light::{CubeGrid, LightTables, reflectance_tables};
 use relume_scene::{MAX_LIGHTS, sh_count};
 
-/// The tables of the reflectance model ([`reflectance_tables`]), uploaded once a device.
+/// The tables of the reflectance model ([`reflectance_tables`]), uploaded once per device.
 #[derive(Debug, Clone)]
 pub struct Constants {
     pub(in crate::gpu) buffer: Buffer<f32>,
 }
 
 impl Constants {
-    /// Uploads the tables that all engines share.
+    /// Uploads the tables, which all engines share.
     ///
     /// # Errors
     /// When the device has no memory left.
@@ -29,30 +29,30 @@ impl Constants {
 pub struct TablesUniform {
     /// Nodes along an edge of the grid of normals.
     pub diffuse_n: u32,
-    /// Padded coefficients a colour.
+    /// Padded number of coefficients per colour.
     pub coefficients: u32,
-    /// Coefficients in use.
+    /// Number of coefficients in use.
     pub n_coefficients: u32,
-    /// Nodes of all levels together.
+    /// Number of nodes of all levels.
     pub n_specular: u32,
     /// Nodes along an edge, per level; the last two are unused.
     pub specular_n: [u32; 8],
     /// First float, per level; the last two are unused.
     pub specular_first: [u32; 8],
-    /// Lights beside the tables.
+    /// Number of dominant lights.
     pub n_lights: u32,
-    /// First float of their irradiance.
+    /// First float of the lights' irradiance.
     pub first_light: u32,
     /// Unused.
     pub pad_a: u32,
     /// Unused.
     pub pad_b: u32,
-    /// Unit direction and angular radius of each.
+    /// Unit direction and angular radius of each light.
     pub lights: [[f32; 4]; MAX_LIGHTS],
 }
 
 impl TablesUniform {
-    /// Where `tables`, for a visibility field of degree `sh_degree`, lie in one buffer.
+    /// Layout of `tables`, for a visibility field of degree `sh_degree`, in one buffer.
     pub fn new(tables: &LightTables, sh_degree: usize) -> Self {
         let edge = |grid: &CubeGrid| grid.edge() as u32;
         let mut out = Self {
@@ -77,7 +77,7 @@ impl TablesUniform {
         out
     }
 
-    /// Floats of the whole buffer.
+    /// Number of floats of the whole buffer.
     pub fn floats(&self) -> usize {
         self.first_light as usize + 3 * MAX_LIGHTS
     }
@@ -86,7 +86,7 @@ impl TablesUniform {
 /// The tables of one light in device memory.
 #[derive(Debug, Clone)]
 pub struct LightBuffers {
-    /// Where they lie.
+    /// Layout of the tables.
     pub layout: TablesUniform,
     /// The tables.
     pub values: Buffer<f32>,

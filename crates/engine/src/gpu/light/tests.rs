@@ -1,4 +1,4 @@
-//! The light of a training against the host's operators.
+//! A training's light against the host's operators.
 
 use crate::LightWeights;
 use crate::gpu::light::training::EnvironmentUniform;
@@ -21,7 +21,7 @@ const WEIGHTS: LightWeights = LightWeights {
     wanted: LightColour { blue_over_red: 0.45, green: -0.2 },
 };
 
-/// None, whole columns, and a fraction of one.
+/// Rotations: none, whole columns, and a fraction of a column.
 const TURNS: [f64; 3] = [0.0, std::f64::consts::FRAC_PI_2, 2.1];
 
 fn model() -> Model {
@@ -140,7 +140,7 @@ fn assert_light_gradient_is_transposed_operator_plus_terms(gpu: &Gpu, turn: f64)
     let (neutral, exposure) = terms(&radiance(&model));
     assert!((f64::from(losses[9]) - neutral).abs() < 1e-5 * neutral, "{} {neutral}", losses[9]);
     assert!((f64::from(losses[10]) - exposure).abs() < 1e-5 * exposure, "{} {exposure}", losses[10]);
-    // A made-up gradient of the tables and of the basis.
+    // An arbitrary gradient of the tables and of the basis.
     let mut by_tables = run.operators.shape();
     by_tables.diffuse.iter_mut().enumerate().for_each(|(i, v)| *v = ((i * 31) % 17) as f32 * 1e-3 - 8e-3);
     for level in &mut by_tables.specular {

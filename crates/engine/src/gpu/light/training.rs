@@ -30,14 +30,14 @@ pub(super) struct EnvironmentUniform {
 /// The environment operators of a training, with the light they were last applied to and the gradient of its tables.
 #[derive(Debug, Clone)]
 pub struct TrainingLight {
-    /// The tables of the light as it was when [`TrainingLight::apply`] ran.
+    /// The tables of the light at the last [`TrainingLight::apply`].
     pub light: LightBuffers,
-    /// Gradient of the tables; cleared by [`TrainingLight::apply`], added to by the shading.
+    /// Gradient of the tables; [`TrainingLight::apply`] clears it, the shading adds to it.
     pub tables_gradient: Buffer<f32>,
-    /// Gradient of the indirect basis; likewise.
+    /// Gradient of the indirect basis, handled the same way.
     pub basis_gradient: Buffer<f32>,
     radiance: Buffer<f32>,
-    /// The radiance as it stood in the photograph.
+    /// The radiance, rotated as in the photograph.
     turned: Buffer<f32>,
     by_sky_light: Buffer<f32>,
     rows: [Buffer<u32>; 2],
@@ -45,7 +45,7 @@ pub struct TrainingLight {
     harmonics: Buffer<f32>,
     upward: Buffer<f32>,
     reading: Buffer<f32>,
-    /// Columns and rows.
+    /// Columns and rows of the environment.
     size: (usize, usize),
 }
 
@@ -102,8 +102,8 @@ impl TrainingLight {
         }
     }
 
-    /// Tables of the model's environment as it is now, turned about +Z by `turn` radians, and the values of the terms on
-    /// it; clears the gradients.
+    /// Computes the tables of the model's current environment, rotated about +Z by `turn` radians, and the terms on it. Clears
+    /// the gradients.
     pub fn apply(
         &self,
         recorder: &mut Recorder<'_>,
@@ -146,8 +146,8 @@ impl TrainingLight {
         recorder.dispatch(&shaders::ENV_BASIS, Groups::Workgroups(1), &bindings);
     }
 
-    /// Gradient of the raw environment under the turn that [`Self::apply`] had, written over its part of
-    /// `globals_gradient`; the basis has a gradient where `indirect` is `Learned`.
+    /// Writes the gradient of the raw environment, for the rotation of the last [`Self::apply`], into its part of
+    /// `globals_gradient`. The basis has a gradient where `indirect` is `Learned`.
     pub fn backward(
         &self,
         recorder: &mut Recorder<'_>,
@@ -185,7 +185,7 @@ impl TrainingLight {
     }
 }
 
-/// `B_j(node)`: how `E_j = 1/32 sum_k Y_j(w_k) L_low(w_k)` (Eq. 20) reads the nodes of the roughest level.
+/// `B_j(node)`: the weights of the roughest level's nodes in `E_j = 1/32 sum_k Y_j(w_k) L_low(w_k)` (Eq. 20).
 fn basis_reading(tables: &LightTables) -> Vec<f32> {
     let grid = tables.specular_grids[tables.specular_grids.len() - 1];
     let mut out = vec![0.0f32; 16 * grid.len()];

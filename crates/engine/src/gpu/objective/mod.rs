@@ -1,5 +1,5 @@
-//! Terms of the objective on images and buffers (docs/MODEL.md section 5): absolute error and structural similarity of an
-//! image, and coverage, depth-normal consistency and smoothness of a G-buffer.
+//! Terms of the objective on images and buffers (docs/MODEL.md, section 5): absolute error and SSIM of an image, and
+//! coverage, depth-normal consistency and smoothness of a G-buffer.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -34,11 +34,11 @@ pub struct ImageTerm<'a> {
     pub image: &'a Buffer<[f32; 4]>,
     /// The photograph, rgb and mask.
     pub photo: &'a Buffer<PhotoPixel>,
-    /// First of the branch's three slots: `PhysicalL1` or `RadianceL1`.
+    /// The first of the branch's three slots: `PhysicalL1` or `RadianceL1`.
     pub slot: LossSlot,
     /// Weights of its two parts.
     pub weights: ImageWeights,
-    /// Scratch of three elements a pixel; both branches can share it.
+    /// Scratch of three elements per pixel; both branches can share it.
     pub partials: &'a Buffer<[f32; 4]>,
 }
 
@@ -70,10 +70,10 @@ impl ImageTerm<'_> {
 struct SurfaceTermsUniform {
     coverage: f32,
     depth_normal: f32,
-    /// One over the pairs of neighbours across, and down.
+    /// 1 / number of horizontal neighbour pairs; the next member is the same for vertical pairs.
     across: f32,
     down: f32,
-    /// Weights of smoothness: metalness, roughness, a channel of the normal, unused.
+    /// Weights of smoothness: metalness, roughness, each channel of the normal, unused.
     smoothness: [f32; 4],
 }
 
@@ -92,7 +92,7 @@ impl SurfaceTermsUniform {
 }
 
 /// Adds the values of the terms on a G-buffer of `channels` to `losses` and writes their gradient to `by_buffers`: two
-/// elements a pixel, planar, (normal, plane distance) and (coverage, metalness, roughness, unused).
+/// elements per pixel, planar, (normal, plane distance) and (coverage, metalness, roughness, unused).
 pub fn surface_terms(
     recorder: &mut Recorder<'_>,
     camera: &CameraUniform,
@@ -113,7 +113,7 @@ pub fn surface_terms(
     recorder.dispatch(kernel, camera.tile_groups(), &bindings);
 }
 
-/// The objective from its slots.
+/// The objective from its loss slots.
 pub fn objective(losses: &[f32], weights: &StepWeights) -> f32 {
     let at = |slot: LossSlot| losses[slot as usize];
     let image = |w: &ImageWeights, l1: LossSlot, ssim: LossSlot| w.l1 * at(l1) + w.ssim * (1.0 - at(ssim));

@@ -1,4 +1,4 @@
-//! The terms against plain f64 versions of their formulas and central differences of those.
+//! The terms against direct f64 versions of their formulas and central differences of those.
 
 use super::*;
 use crate::RasterCamera;
@@ -12,7 +12,7 @@ use relume_scene::ShadingOptions;
 
 type Rgb = [f64; 3];
 
-/// Mean absolute error, mean squared error and mean SSIM, the window applied as one square.
+/// Mean absolute error, mean squared error and mean SSIM, with the window as one 2D kernel.
 fn image_means(w: usize, h: usize, image: &[Rgb], photo: &[Rgb]) -> [f64; 3] {
     let raw: Vec<f64> = (0..11).map(|i| (-(f64::from(i) - 5.0).powi(2) / 4.5).exp()).collect();
     let total: f64 = raw.iter().sum();
@@ -60,7 +60,7 @@ fn uploaded_photo(gpu: &Gpu, pixels: &[Rgb], mask: &[f32]) -> Buffer<PhotoPixel>
     gpu.upload("a photograph", &rows(pixels, mask).map(photo_pixel).collect::<Vec<_>>()).unwrap()
 }
 
-/// The nearest level that a photograph on the device has.
+/// The nearest level of a photograph on the device.
 fn level(value: f32) -> f64 {
     f64::from((value * 65_535.0).round()) / 65_535.0
 }
@@ -103,12 +103,12 @@ fn image_terms_and_gradients_match_the_formulas() {
         let view = camera_view((w as u32, h as u32), &ShadingOptions::default());
         let mut photo = picture(&mut noise, w * h);
         let mut image = picture(&mut noise, w * h);
-        // Near the photograph in places, and equal in one.
+        // Near the photograph in some pixels, and equal in one.
         for i in 0..w * h / 2 {
             image[i] = std::array::from_fn(|c| (photo[i][c] + 0.1 * image[i][c]) as f32 as f64);
         }
         if w * h > 1 {
-            // Of levels that no driver rounds.
+            // Levels that no driver rounds.
             photo[w * h / 2] = [1.0, 0.0, 1.0];
             image[w * h / 2] = photo[w * h / 2];
         }
@@ -214,7 +214,7 @@ impl Buffers {
         (self.rows[i][0] >= 0.5 && facing < -0.05 && t > 0.0 && t < 1e4).then_some(t)
     }
 
-    /// Mean of `coverage (1 - n . n_d)`, and how many pixels have a share.
+    /// Mean of `coverage (1 - n . n_d)`, and the number of pixels that contribute.
     fn depth_normal(&self) -> (f64, usize) {
         let (w, h) = self.size;
         let (mut sum, mut count) = (0.0, 0);
@@ -293,7 +293,7 @@ fn surface_on_device(
     ([losses[0], losses[1], losses[2]], gpu.read(&by_buffers, 0..by_buffers.len()).unwrap())
 }
 
-/// Gradients of one pixel by (channel, value).
+/// Gradients of one pixel as (channel, value).
 fn by_channel(by_buffers: &[[f32; 4]], i: usize) -> [(usize, f32); 7] {
     let (a, b) = (by_buffers[i], by_buffers[by_buffers.len() / 2 + i]);
     [
@@ -307,7 +307,7 @@ fn by_channel(by_buffers: &[[f32; 4]], i: usize) -> [(usize, f32); 7] {
     ]
 }
 
-/// Metalness, roughness and normal: none can stand in for another.
+/// Weights of metalness, roughness and normal, all different, so that a mix-up fails.
 const SMOOTH: [f32; 3] = [0.15, 0.06, 0.1];
 
 #[test]

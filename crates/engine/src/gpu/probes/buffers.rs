@@ -1,4 +1,4 @@
-//! What a measurement leaves in device memory.
+//! Results of a measurement, in device memory.
 
 use crate::DeviceError;
 use crate::gpu::model::LayoutUniform;
@@ -8,17 +8,17 @@ use relume_scene::Field;
 /// Measured visibility of a model, in device memory.
 #[derive(Debug, Clone)]
 pub struct ProbeBuffers {
-    /// Gaussians measured.
+    /// Number of measured Gaussians.
     pub n: usize,
-    /// Coefficients a Gaussian has.
+    /// Coefficients per Gaussian.
     pub n_coefficients: usize,
     /// Unit directions.
     pub directions: Buffer<[f32; 4]>,
-    /// Unit normals by Gaussian on the open side, as of the visibility field before the measurement.
+    /// Unit normals per Gaussian on the open side, by the visibility field before the measurement.
     pub normals: Buffer<[f32; 4]>,
     /// `[direction][Gaussian]`: transmittance towards the direction, 0..=1.
     pub transmittance: Buffer<f32>,
-    /// `[direction][Gaussian]`: the Gaussian that takes most of the rest, or [`relume_layout::constants::NO_HIT`].
+    /// `[direction][Gaussian]`: the Gaussian that blocks most of the rest, or [`relume_layout::constants::NO_HIT`].
     pub hit: Buffer<u32>,
     /// `[Gaussian][coefficient]`: `4 pi / D sum_d V Y`.
     pub coefficients: Buffer<f32>,
@@ -45,8 +45,7 @@ impl ProbeBuffers {
         })
     }
 
-    /// Replaces the visibility field of the planar `params` by the measured coefficients (the field lies in memory as
-    /// they do).
+    /// Replaces the visibility field of the planar `params` by the measured coefficients, which have the field's layout.
     ///
     /// # Errors
     /// [`DeviceError::Misuse`] when the model has another shape.
@@ -67,7 +66,7 @@ impl ProbeBuffers {
     }
 }
 
-/// Solid angle a direction stands for, sr.
+/// Solid angle per direction, sr.
 pub(in crate::gpu) fn direction_weight(n_directions: usize) -> f32 {
     4.0 * std::f32::consts::PI / n_directions.max(1) as f32
 }

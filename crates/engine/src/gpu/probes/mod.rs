@@ -1,4 +1,4 @@
-//! Transmittance probes on the device: the port of [`crate::cpu::Probes`] (docs/MODEL.md section 6).
+//! Transmittance probes on the device: the port of [`crate::cpu::Probes`] (docs/MODEL.md, section 6).
 
 mod buffers;
 mod sweep;

@@ -1,9 +1,9 @@
-//! The sweep of a measurement over its directions.
+//! The loop of a measurement over its directions.
 //!
-//! Directions are swept one after the other: flatten, sort by depth, list by cell, walk. How long the lists are is
-//! learned for all directions together, by flattening them once beforehand, so that a measurement has one read-back
-//! and not one a direction; where the longest list would take more memory than allowed, the grid is made
-//! coarser, which changes no result, until it fits: with a single cell no list is longer than the model.
+//! Directions run one after the other: flatten, sort by depth, list per cell, walk. A first pass flattens all directions to
+//! find the lengths of their lists, so that a measurement has one read-back instead of one per direction. Where the longest
+//! list would take more memory than allowed, the grid is made coarser until it fits, which changes no result: with a single
+//! cell no list is longer than the model.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -18,19 +18,19 @@ use crate::gpu::{Buffer, Gpu, Groups, InFlightLimit, Recorder, Submission, shade
 use relume_scene::light::sh_eval;
 use relume_scene::sh_count;
 
-/// Most cells along an edge of the grid: a flat Gaussian keeps its first and last cell in a byte each.
+/// Maximum number of cells along an edge of the grid: a flat Gaussian stores its first and last cell in a byte each.
 const MAX_GRID_SIDE: usize = 256;
-/// List entries a Gaussian that a direction may have on average before the grid is made coarser. On a software device
-/// 3 entries a Gaussian (100,000 of them) took two thirds of the time of 6 and half of that of 16: sorting entries costs
+/// Mean number of list entries per Gaussian in a direction above which the grid is made coarser. On a software device and
+/// 100,000 Gaussians, 3 entries per Gaussian took two thirds of the time of 6 and half of that of 16: sorting entries costs
 /// more than walking the longer lists of larger cells.
 const ENTRIES_A_GAUSSIAN: usize = 4;
-/// List entries that any model may have.
+/// Number of list entries that every model may have.
 const ENTRIES: usize = 1 << 18;
-/// Directions flattened in one submission.
+/// Number of directions flattened in one submission.
 const FLATTENED_AT_ONCE: usize = 16;
-/// Floats of a direction's harmonics in the basis buffer, zeros included.
+/// Floats of a direction's harmonics in the basis buffer, including padding zeros.
 const BASIS: usize = 64;
-/// Directions measured besides: the axes, for the bounding box.
+/// Number of additional directions: the axes, for the bounding box.
 const AXES: usize = 3;
 
 /// `Sweep` of `shared/probe.wgsl`.
@@ -84,12 +84,12 @@ pub(super) type Occluder = [f32; 16];
 /// `Flat` of `shared/probe.wgsl`.
 pub(super) type Flat = [u32; 12];
 
-/// Measures `directions` (unit) from every Gaussian of the model in `params`, and their coefficients of degree
-/// `sh_degree`, at most 6. Waits for the device slice by slice; only how long the lists are is read back.
+/// Measures `directions` (unit) from every Gaussian of the model in `params`, and their coefficients of degree `sh_degree`,
+/// at most 6. Waits for the device slice by slice; reads only the lengths of the lists back.
 ///
 /// # Errors
 /// [`DeviceError::TooLarge`] with the numbers when transmittances by direction and Gaussian do not fit one binding,
-/// [`DeviceError::Misuse`] for a wrong order or a buffer that is too short, or as [`Gpu::buffer`].
+/// [`DeviceError::Misuse`] for a wrong degree or a buffer that is too short, or as [`Gpu::buffer`].
 pub fn measure(
     gpu: &Gpu,
     params: &Buffer<f32>,
@@ -153,7 +153,7 @@ impl<'g> Sweeper<'g> {
             side: 1,
             n_instances: 0,
             clearance: settings.clearance,
-            // Shaders may assume that nothing is infinite.
+            // Shader compilers may assume that no value is infinite.
             reach: settings.reach.min(f32::MAX),
             pad: 0,
         };
@@ -202,7 +202,7 @@ impl<'g> Sweeper<'g> {
         Ok(self.out.clone())
     }
 
-    /// Occluders, queries and normals, and the box of the grids.
+    /// Computes occluders, queries and normals, and the bounding box of the grids.
     fn prepare(&mut self, params: &Buffer<f32>, model: &LayoutUniform) -> Result<(), DeviceError> {
         let s = self.settings;
         let start = ProbeStart { offset: s.offset, lift: s.lift, bias: s.bias, pad: 0 };
@@ -223,17 +223,17 @@ impl<'g> Sweeper<'g> {
             self.flatten(&mut rec);
             let sorted = self.by_depth(&mut rec)?;
             let bindings = [uniform(&self.sweep), (&sorted.keys).into(), (&self.bounds).into()];
-            // What is sorted does not depend on the bounds that change here; only the unused cells do.
+            // The sorted coordinates do not depend on the bounds that change here; only the unused cells do.
             rec.dispatch(&shaders::PROBE_BOUNDS, Groups::Workgroups(1), &bindings);
         }
         self.pace.follow(rec.submit()?)
     }
 
-    /// Sets the finest grid, from `side` down, with which no direction lists more than `entries`; list lengths by
-    /// direction.
+    /// Sets the finest grid, from `side` down, with which no direction lists more than `entries` entries; returns the list
+    /// lengths per direction.
     fn fitting_grid(&mut self, side: usize, entries: usize) -> Result<Vec<usize>, DeviceError> {
         let report = self.gpu.report();
-        // Sorting also counts 256 digits by block of 2048.
+        // Sorting also counts 256 digits per block of 2048.
         let most = entries.max(self.out.n).min((report.max_binding.min(report.max_buffer) / 4) as usize);
         let n_directions = self.sweep.n_directions as usize;
         self.sweep.side = side as u32;
@@ -259,7 +259,7 @@ impl<'g> Sweeper<'g> {
         }
     }
 
-    /// Flat Gaussians along the sweep's direction, and their depth keys.
+    /// Flattens the Gaussians along the current direction and computes their depth keys.
     fn flatten(&self, rec: &mut Recorder<'_>) {
         let bindings = [
             uniform(&self.sweep),
@@ -356,7 +356,7 @@ impl<'g> Sweeper<'g> {
     }
 }
 
-/// The direction and two vectors across it, the same as on the CPU.
+/// The direction and two vectors perpendicular to it, the same as on the CPU.
 fn axes(d: [f32; 3]) -> Axes {
     let (u, v) = glam::Vec3::from_array(d).any_orthonormal_pair();
     [padded(u.to_array()), padded(v.to_array()), padded(d)]

@@ -16,15 +16,15 @@ use relume_compare::largest_difference;
 use relume_layout::constants::NO_HIT;
 use relume_scene::{Field, Gaussians, ShadingOptions, sh_count};
 
-/// Largest difference of a transmittance or, in units of the largest, of a coefficient.
+/// Largest difference of a transmittance, or of a coefficient relative to the largest coefficient.
 const TOLERANCE: f32 = 1e-4;
-/// Share of entries that may differ by more: rounding decides whether an occluder at the very edge of its clearance,
-/// of its reach or of opaqueness counts, and which of two equally strong ones is the strongest. Measured 3e-6 on 100,000
-/// Gaussians; 1.4e-3 on needles, whose exponents lose digits on the CPU.
+/// Share of entries that may differ by more: rounding decides whether an occluder exactly at the limit of its clearance,
+/// reach or opacity counts, and which of two equally strong occluders is the strongest. Measured 3e-6 on 100,000 Gaussians;
+/// 1.4e-3 on needles, whose exponents lose digits on the CPU.
 const FLIPPED: f64 = 0.001;
 const FLIPPED_NEEDLES: f64 = 0.005;
 
-/// A model and what the CPU engine needs besides.
+/// A model with the additional input of the CPU engine.
 pub(in crate::gpu) struct ProbeScene {
     pub(in crate::gpu) gaussians: Gaussians,
     pub(in crate::gpu) prototypes: Vec<[f32; 3]>,
@@ -116,7 +116,7 @@ fn directions() -> Vec<[f32; 3]> {
     all
 }
 
-/// Asserts parity of a scene; returns the share of directions that are blocked to some part, and hits.
+/// Asserts parity of a scene; returns the share of directions that are partly blocked and have a hit.
 fn assert_parity(gpu: &Gpu, scene: &ProbeScene, settings: ProbeSettings) -> f64 {
     assert_parity_within(gpu, scene, settings, FLIPPED)
 }
@@ -202,7 +202,7 @@ fn coefficients_equal_the_projected_transmittances() {
         let most = expected.iter().fold(0.0f32, |m, v| m.max(v.abs()));
         let error = largest_difference(&got, &expected);
         assert!(error < 1e-5 * f64::from(most), "order {sh_degree}: {error} of {most}");
-        // Against what the CPU measures by itself: whole rows differ where a transmittance flipped.
+        // Against the CPU's own measurement: whole rows differ where rounding flipped a transmittance.
         let cpu = cpu::Probes::measure(&scene.source(), directions(), ProbeSettings::default());
         let cpu = cpu.coefficients(sh_degree);
         let far = got.iter().zip(&cpu).filter(|(a, b)| !((*a - *b).abs() <= TOLERANCE * most)).count();
@@ -254,7 +254,7 @@ fn probes_of_flat_and_degenerate_scenes_match_the_cpu() {
         });
         assert_parity(&gpu, &scene, ProbeSettings::default());
     }
-    // Two sheets face to face, hiding each other.
+    // Two sheets that face and hide each other.
     let scene = ProbeScene::random(12, 400, 2).with(|i, g| {
         g.row_mut(Field::Mean, i)[2] = if i % 2 == 0 { 0.4 } else { -0.4 };
         g.row_mut(Field::LogScale, i).copy_from_slice(&[-1.5, -1.7, -5.0]);
@@ -322,14 +322,14 @@ fn transparent_distant_and_nan_gaussians_do_not_occlude() {
         3 => g.row_mut(Field::OpacityLogit, i)[0] = f32::NAN,
         4 => {
             g.row_mut(Field::LogScale, i)[2] = 200.0;
-            // Along the axes: across so long an axis, rounding alone would move the query.
+            // Along the axes: perpendicular to such a long axis, rounding alone would move the query.
             g.row_mut(Field::Quaternion, i).copy_from_slice(&[2.0, 0.0, 0.0, 0.0]);
         }
         5 => g.row_mut(Field::Quaternion, i).fill(0.0),
         _ => {}
     });
     assert!(assert_parity(&gpu, &broken, ProbeSettings::default()) > 0.1);
-    // A rotation that is none: the CPU takes the identity, the device leaves the Gaussian out, as it does in images.
+    // An invalid rotation: the CPU uses the identity, the device skips the Gaussian, as in images.
     let turned = ProbeScene::random(34, 300, 2).with(|i, g| {
         if i % 2 == 0 {
             g.row_mut(Field::Quaternion, i)[2] = f32::NAN;

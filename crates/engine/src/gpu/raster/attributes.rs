@@ -1,4 +1,4 @@
-//! Attribute rows on the device: from raw parameters to what is blended.
+//! Attribute rows on the device, computed from raw parameters.
 
 use crate::DeviceError;
 use crate::gpu::grow::grow;
@@ -12,7 +12,7 @@ use relume_layout::channel::Channels;
 pub struct Attributed<'r> {
     pub(in crate::gpu) projected: Projected<'r>,
     pub(in crate::gpu) channels: Channels,
-    /// Rows by Gaussian, `4 groups` floats each, undefined where a splat reaches no tile.
+    /// Rows per Gaussian, `4 groups` floats each, undefined where a splat reaches no tile.
     pub(in crate::gpu) rows: Buffer<[f32; 4]>,
 }
 

@@ -10,8 +10,8 @@ use crate::gpu::shaders::Kernel;
 use crate::gpu::{Buffer, CameraUniform, Recorder, shaders, uniform};
 use relume_layout::constants::{EarlyStop, TRANSMITTANCE_STOP};
 
-/// Where complete blending ends: what lies behind adds less than the last digit of anything, and transmittances can
-/// still be recovered by division.
+/// Transmittance at which complete blending stops: further splats change no digit, and transmittances can still be
+/// recovered by division.
 const LAST_TRANSMITTANCE: f32 = 1e-30;
 
 /// A view with its G-buffer.
@@ -19,7 +19,7 @@ const LAST_TRANSMITTANCE: f32 = 1e-30;
 pub struct Blended<'r> {
     pub(in crate::gpu) attributed: Attributed<'r>,
     pub(super) gbuffer: Buffer<[f32; 4]>,
-    /// By pixel.
+    /// End of the blending per pixel.
     pub(super) ends: Buffer<BlendEnd>,
 }
 
@@ -29,7 +29,7 @@ impl Blended<'_> {
         &self.attributed.projected.camera
     }
 
-    /// The G-buffer, `[group][pixel]`; elements beyond those of the view are undefined.
+    /// The G-buffer, `[group][pixel]`; elements beyond the view's are undefined.
     pub fn gbuffer(&self) -> &Buffer<[f32; 4]> {
         &self.gbuffer
     }
@@ -57,7 +57,7 @@ impl<'r> Attributed<'r> {
             EarlyStop::Never => LAST_TRANSMITTANCE,
         };
         p.blend_rows(rec, kernel, least, [&self.rows, &gbuffer], &ends);
-        // Footprints and rows once a tile, sums once a pixel; an exponent and 4 groups of multiply-adds a pair.
+        // Footprints and rows once per tile, sums once per pixel; an exponential and 4 groups of multiply-adds per pair.
         let row = 64 + 16 * groups as u64;
         let bytes = p.counts.instances as u64 * row + pixels as u64 * (16 * groups as u64 + 8);
         rec.work(bytes, p.pairs() * (14 + 8 * groups as u64));
@@ -66,7 +66,7 @@ impl<'r> Attributed<'r> {
 }
 
 impl Projected<'_> {
-    /// Blends rows of two groups, by Gaussian, into `[group][pixel]`, as far as pixels that saturate.
+    /// Blends rows of two groups per Gaussian into `[group][pixel]`, until pixels saturate.
     pub(in crate::gpu) fn blend_pairs(
         &self,
         rec: &mut Recorder<'_>,

@@ -1,4 +1,4 @@
-//! The way back from the G-buffer to the splats, and the labels that come from the same sweep.
+//! Backward pass from the G-buffer to the splats, and the backward labels.
 
 use crate::DeviceError;
 use crate::gpu::grow::grow;
@@ -14,9 +14,9 @@ pub use relume_layout::kernel_constants::GRADIENT_HEADER;
 #[derive(Debug)]
 pub struct Differentiated<'r> {
     pub(in crate::gpu) blended: Blended<'r>,
-    /// Groups of channels that were differentiated.
+    /// Number of differentiated groups of channels.
     pub(in crate::gpu) groups: usize,
-    /// Rows of [`GRADIENT_HEADER`]` + 4 groups` floats by Gaussian.
+    /// Rows of [`GRADIENT_HEADER`]` + 4 groups` floats per Gaussian.
     pub(in crate::gpu) splat_gradients: Buffer<f32>,
 }
 
@@ -81,8 +81,8 @@ impl<'r> Blended<'r> {
             (&splat_gradients).into(),
         ];
         rec.dispatch(kernel, p.camera.tile_groups(), &bindings);
-        // As forward, with the gradient rows read and written; the channels once for the derivative of alpha, once for
-        // theirs.
+        // As forward, plus gradient rows read and written; channels once for the derivative of alpha and once for their
+        // own.
         let (row, sums) = (64 + 16 * groups as u64, 2 * 4 * (GRADIENT_HEADER + 4 * groups) as u64);
         let bytes = p.counts.instances as u64 * (row + sums) + pixels as u64 * (16 * groups as u64 + 8);
         rec.work(bytes, p.pairs() * (40 + 16 * groups as u64));
@@ -91,8 +91,8 @@ impl<'r> Blended<'r> {
 }
 
 impl Projected<'_> {
-    /// Backward transmittance of every Gaussian (Eq. 14-15) as weighted sum and sum of weights, over all pixels of the
-    /// view: `sum w That, sum w`.
+    /// Backward transmittance of every Gaussian (Eq. 14-15) as weighted sum and sum of weights over all pixels of the view:
+    /// `sum w That, sum w`.
     ///
     /// # Errors
     /// As [`Gpu::buffer`](crate::gpu::Gpu::buffer).

@@ -6,7 +6,7 @@ use crate::gpu::scan::Scan;
 use crate::gpu::sort::Sorter;
 use crate::gpu::{Buffer, Gpu};
 
-/// A rasteriser: memory that frames use one after the other.
+/// A rasteriser: memory that successive frames share.
 #[derive(Debug)]
 pub struct Raster {
     pub(super) gpu: Gpu,
@@ -14,12 +14,12 @@ pub struct Raster {
     pub(super) nothing: Buffer<f32>,
     /// Visible Gaussians, then the low and the high half of the number of (splat, tile) pairs.
     pub(super) counts: Buffer<u32>,
-    /// What the lists of the last view hold, see `shaders/tile_capacity.wgsl`.
+    /// Status of the last view's tile lists, see `shaders/tile_capacity.wgsl`.
     pub(super) list_status: Buffer<u32>,
-    /// Pairs that a view's lists hold.
+    /// Capacity of a view's lists, (splat, tile) pairs.
     pub(super) capacity: usize,
     pub(super) oversized: OversizedViews,
-    /// What the last view showed that is known.
+    /// Counts of the last view whose counts are known.
     pub(super) last: RasterCounts,
     pub(super) splats: Option<Buffer<SplatRecord>>,
     pub(super) depth_keys: Option<Buffer<u32>>,
@@ -42,7 +42,7 @@ pub struct Raster {
 }
 
 impl Raster {
-    /// A rasteriser without memory yet.
+    /// A rasteriser without allocated memory.
     ///
     /// # Errors
     /// As [`Gpu::buffer`].

@@ -1,8 +1,8 @@
-//! Rasterisation on the device: projection, depth order, tile lists, blending and the way back to the splats.
+//! Rasterisation on the device: projection, depth order, tile lists, blending and the backward pass to the splats.
 //!
-//! A frame goes through typed stages, each made from the one before: [`Raster::record`] gives [`Projected`],
-//! [`Projected::attributes`] gives [`Attributed`], [`Attributed::blend`] gives [`Blended`], [`Blended::backward`] gives
-//! [`Differentiated`]. A stage borrows the [`Raster`], whose memory is kept from frame to frame and only grows.
+//! A frame passes through typed stages, each created from the previous one: [`Raster::record`] returns [`Projected`],
+//! [`Projected::attributes`] returns [`Attributed`], [`Attributed::blend`] returns [`Blended`], [`Blended::backward`] returns
+//! [`Differentiated`]. A stage borrows the [`Raster`], whose memory is reused by all frames and only grows.
 
 mod attributes;
 mod blend;

@@ -1,4 +1,4 @@
-//! From parameters to splats and the lists of those each tile shows.
+//! Projection of parameters to splats, and the list of splats per tile.
 
 use crate::DeviceError;
 use crate::gpu::grow::grow;
@@ -7,43 +7,43 @@ use crate::gpu::raster::records::{DispatchParams, LIST_STATUS_WORDS, RasterCount
 use crate::gpu::raster::tiles::TileLists;
 use crate::gpu::{AttributeSource, Buffer, CameraUniform, Groups, Recorder, TILE, shaders, uniform};
 
-/// A view whose splats and tile lists are known.
+/// A view with its splats and tile lists.
 #[derive(Debug)]
 pub struct Projected<'r> {
     pub(super) raster: &'r mut Raster,
     pub(in crate::gpu) camera: CameraUniform,
     pub(in crate::gpu) source: AttributeSource,
-    /// By Gaussian.
+    /// Splats per Gaussian.
     pub(in crate::gpu) splats: Buffer<SplatRecord>,
     pub(in crate::gpu) tiles: TileLists,
     pub(super) counts: RasterCounts,
 }
 
 impl Projected<'_> {
-    /// What the view shows, or the one before it as long as that is not known.
+    /// Counts of the view or, while they are not known, of the previous one.
     pub fn counts(&self) -> RasterCounts {
         self.counts
     }
 
-    /// What [`Raster::apply_list_status`] asks for.
+    /// Status of the tile lists, the input of [`Raster::apply_list_status`].
     pub fn list_status(&self) -> &Buffer<u32> {
         &self.raster.list_status
     }
 
-    /// Gaussians of the model.
+    /// Number of Gaussians of the model.
     pub(super) fn gaussians(&self) -> usize {
         self.source.layout.n as usize
     }
 
-    /// (splat, pixel) pairs of all tiles.
+    /// Number of (splat, pixel) pairs of all tiles.
     pub(super) fn pairs(&self) -> u64 {
         self.counts.instances as u64 * u64::from(TILE * TILE)
     }
 }
 
 impl Raster {
-    /// Records projection and tile lists of a view of `source`. Nobody waits for the device: whether the lists are whole is
-    /// known later ([`Self::apply_list_status`]), and until then the counts are those of an earlier view.
+    /// Records projection and tile lists of a view of `source`, without waiting for the device. The host learns later whether
+    /// the lists are complete ([`Self::apply_list_status`]); until then the counts are those of an earlier view.
     ///
     /// # Errors
     /// As [`Gpu::buffer`](crate::gpu::Gpu::buffer).
@@ -57,7 +57,7 @@ impl Raster {
         let n = source.layout.n as usize;
         let capacity = self.capacity_for(n);
         let tiles = match self.list(rec, camera, &splats, &gaussian_of_rank, (n, capacity)) {
-            // There may be memory for the last view's lists where there is none for more.
+            // The last view's lists may fit where larger ones do not.
             Err(DeviceError::TooLarge { .. } | DeviceError::OutOfMemory { .. }) if self.shrink_to_fit() => {
                 self.list(rec, camera, &splats, &gaussian_of_rank, (n, self.capacity))?
             }
@@ -67,7 +67,7 @@ impl Raster {
         Ok(Projected { raster: self, camera, source, splats, tiles, counts })
     }
 
-    /// Projects and lists on the spot, with lists that are whole and counts that are this view's. Waits for the device.
+    /// Projects and lists with complete lists and with counts of this view. Waits for the device.
     ///
     /// # Errors
     /// As [`Self::record`] and [`Self::apply_list_status`].
@@ -89,8 +89,8 @@ impl Raster {
         }
     }
 
-    /// Records projection, depth order and the first instance of each rank; gives the splats, and the
-    /// Gaussians nearest first, invisible ones last.
+    /// Records projection, depth order and the first instance of each rank. Returns the splats, and the Gaussians sorted by
+    /// depth, nearest first, invisible ones last.
     pub(super) fn project(
         &mut self,
         rec: &mut Recorder<'_>,

@@ -2,28 +2,28 @@
 
 use bytemuck::{Pod, Zeroable};
 
-/// Four numbers of a dispatch: counts, flags or bits of floats, as each shader names them.
+/// Four numbers of a dispatch: counts, flags or bits of floats; each shader names them.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 pub(super) struct DispatchParams(pub(super) [u32; 4]);
 
-/// Elements of the buffer that says what the tile lists of a view hold (`shaders/tile_capacity.wgsl`).
+/// Elements of the buffer with the status of a view's tile lists (`shaders/tile_capacity.wgsl`).
 pub(super) const LIST_STATUS_WORDS: usize = 5;
 
-/// What a view shows.
+/// Counts of a view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct RasterCounts {
-    /// Gaussians that pass the tests of the projection, on screen or not.
+    /// Number of Gaussians that pass the tests of the projection, on screen or not.
     pub visible: usize,
-    /// (splat, tile) pairs.
+    /// Number of (splat, tile) pairs.
     pub instances: usize,
 }
 
-/// Views in a row that had far more memory than they needed.
+/// Consecutive views with much more memory than they needed.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct OversizedViews {
     pub(super) count: u32,
-    /// Pairs of the largest.
+    /// Number of pairs of the largest of them.
     pub(super) most: usize,
 }
 
@@ -45,9 +45,9 @@ pub struct SplatRecord {
     pub covariance: [f32; 3],
     /// Factor of the compensation.
     pub compensation: f32,
-    /// Tiles it reaches.
+    /// Number of tiles that it reaches.
     pub n_tiles: u32,
-    /// 1 when visible; otherwise nothing else may be read.
+    /// 1 when visible; otherwise no other member may be read.
     pub flags: u32,
     /// Unused.
     pub pad_a: u32,
@@ -55,7 +55,7 @@ pub struct SplatRecord {
     pub pad_b: u32,
 }
 
-/// `BlendEnd` of `shared/alpha.wgsl`: where a pixel's blending ended.
+/// `BlendEnd` of `shared/alpha.wgsl`: the end of a pixel's blending.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 pub struct BlendEnd {

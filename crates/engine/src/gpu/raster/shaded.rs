@@ -11,13 +11,13 @@ use crate::gpu::shading::Shading;
 use crate::gpu::{Bind, Buffer, Groups, Recorder, shaders, uniform};
 use relume_layout::channel::Channels;
 
-/// Coefficients behind four taps of three colours, multiplied and added forward; about twice that on the way back.
+/// Operations per coefficient, forward: a multiply-add for four taps of three colours; about twice that backward.
 const OPERATIONS_A_COEFFICIENT: u64 = 24;
-/// The rest of a surface's shading.
+/// Operations of the rest of a surface's shading.
 const OPERATIONS_A_SURFACE: u64 = 600;
 
 impl<'r> Attributed<'r> {
-    /// Shades every Gaussian into its row of attributes, which are of materials or full.
+    /// Shades every Gaussian into its attribute row; the rows carry materials or all channels.
     ///
     /// # Errors
     /// [`DeviceError::Misuse`] when the rows carry no material, or there is no kernel for the number of visibility
@@ -27,8 +27,8 @@ impl<'r> Attributed<'r> {
         shade_rows(&self.projected, rec, shading, kernel, vec![(&self.rows).into()])
     }
 
-    /// Shades every Gaussian, whose rows are of materials, into a row of coverage and linear colour. Rows of Gaussians
-    /// that reach no tile are left undefined.
+    /// Shades every Gaussian from its material row into a row of coverage and linear colour. Rows of Gaussians that reach no
+    /// tile are undefined.
     ///
     /// # Errors
     /// As [`Attributed::shade`], or as [`Gpu::buffer`](crate::gpu::Gpu::buffer).
@@ -57,8 +57,8 @@ impl<'r> Attributed<'r> {
 }
 
 impl Differentiated<'_> {
-    /// The way back through [`Attributed::shade`]: adds to the splat gradients and to `by_tables`, the gradient by the
-    /// light tables, laid out as they are. All channels must have been differentiated.
+    /// The backward pass of [`Attributed::shade`]: adds to the splat gradients and to `by_tables`, the gradient by the light
+    /// tables, in their layout. All channels must have been differentiated.
     ///
     /// # Errors
     /// [`DeviceError::Misuse`] when they were not, or as [`Attributed::shade`].
@@ -100,7 +100,7 @@ fn shade_rows(
     Ok(())
 }
 
-/// What a Gaussian's surface is made of, but for its row.
+/// Bindings of a Gaussian's surface, except its row.
 fn surface_bindings<'a>(p: &'a Projected<'_>) -> Result<Vec<Bind<'a>>, DeviceError> {
     if p.source.lacks_basis() {
         return Err(DeviceError::Misuse("shading: the indirect basis does not fit the model".to_owned()));
@@ -115,7 +115,7 @@ fn surface_bindings<'a>(p: &'a Projected<'_>) -> Result<Vec<Bind<'a>>, DeviceErr
     ])
 }
 
-/// No kernel shades rows that carry no material.
+/// The error for rows without material, which no kernel can shade.
 fn no_material(channels: Channels) -> DeviceError {
     DeviceError::Misuse(format!("shading of rows of {channels:?}"))
 }

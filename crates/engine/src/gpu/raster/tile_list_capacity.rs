@@ -1,16 +1,17 @@
-//! How much memory the lists of a view need. Only the device knows, so that it is laid out for what earlier views needed, and a
-//! view that needs more is drawn again.
+//! Capacity of a view's tile lists. Only the device knows the needed size, so the host allocates for the needs of earlier
+//! views, and a view that needs more is drawn again.
 
 use crate::DeviceError;
 use crate::gpu::raster::memory::Raster;
 use crate::gpu::raster::records::{OversizedViews, RasterCounts};
 
-/// Pairs a Gaussian that the first view has memory for, and pairs that any view has.
+/// Initial capacity in pairs: the first number per Gaussian, at least the second.
 const INITIAL_CAPACITY: (usize, usize) = (4, 1 << 14);
-/// Memory for this many times the pairs of every one of so many views in a row is too much.
+/// The lists shrink when their capacity exceeds the first number times the pairs of each view, for the second number of
+/// consecutive views.
 const SHRINK_LIMITS: (usize, u32) = (8, 256);
 
-/// What the device says of a view's lists (`shaders/tile_capacity.wgsl`).
+/// The device's status of a view's lists (`shaders/tile_capacity.wgsl`).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TileListStatus {
     is_short: bool,
@@ -19,7 +20,7 @@ pub(super) struct TileListStatus {
 }
 
 impl TileListStatus {
-    /// From the elements of [`Raster::list_status`]; nothing is short where elements are missing.
+    /// From the elements of [`Raster::list_status`]; missing elements mean complete lists.
     fn new(words: &[u32]) -> Self {
         let word = |i: usize| words.get(i).copied().unwrap_or(0);
         Self {
@@ -31,8 +32,8 @@ impl TileListStatus {
 }
 
 impl Raster {
-    /// Takes in what came back of the lists of a view. False when memory was short: what was drawn is wrong, so is all that
-    /// was recorded since, and with the memory that there is now it can be recorded again.
+    /// Applies the status of a view's lists. Returns false when the lists were too short: the view and everything recorded
+    /// since are wrong; they can be recorded again, with the memory that this call provides.
     ///
     /// # Errors
     /// [`DeviceError::TooLarge`] with the numbers when the view has more (splat, tile) pairs than one binding holds.
@@ -51,7 +52,7 @@ impl Raster {
         Ok(!list_status.is_short)
     }
 
-    /// Lays the next views' lists out for less where many views in a row needed far less than there is.
+    /// Reduces the capacity for the next views where many consecutive views needed much less.
     fn shrink_if_oversized(&mut self, pairs: usize) {
         let (times, views) = SHRINK_LIMITS;
         if self.capacity / times <= pairs.max(INITIAL_CAPACITY.1) {
@@ -66,7 +67,7 @@ impl Raster {
         }
     }
 
-    /// Lays the next views' lists out for what the last one needed and no more; false where they are.
+    /// Reduces the capacity for the next views to the need of the last one; returns false where it already is that.
     pub(super) fn shrink_to_fit(&mut self) -> bool {
         let least = self.last.instances.max(INITIAL_CAPACITY.1);
         let is_oversized = self.capacity > least;
@@ -74,7 +75,7 @@ impl Raster {
         is_oversized
     }
 
-    /// Pairs that the lists of the next view of `n` Gaussians hold.
+    /// Capacity, in pairs, of the lists of the next view of `n` Gaussians.
     pub(super) fn capacity_for(&mut self, n: usize) -> usize {
         if self.capacity == 0 {
             self.capacity = (INITIAL_CAPACITY.0 * n).max(INITIAL_CAPACITY.1);
@@ -83,28 +84,28 @@ impl Raster {
         self.capacity
     }
 
-    /// Makes the next views' lists hold `capacity` pairs.
+    /// Sets the capacity of the next views' lists, in pairs.
     #[cfg(test)]
     pub(in crate::gpu) fn set_capacity(&mut self, capacity: usize) {
         self.capacity = capacity;
     }
 
-    /// Pairs that the next view's lists hold.
+    /// Capacity of the next view's lists, in pairs.
     #[cfg(test)]
     pub(super) fn capacity(&self) -> usize {
         self.capacity
     }
 
-    /// What the lists of the last view hold.
+    /// Status of the last view's lists.
     #[cfg(test)]
     pub(in crate::gpu) fn list_status(&self) -> &crate::gpu::Buffer<u32> {
         &self.list_status
     }
 
-    /// Pairs that one binding holds. Indices are 32 bits wide, with space for a workgroup beyond the end.
+    /// Maximum number of pairs in one binding. Indices have 32 bits, with space for a workgroup beyond the end.
     fn max_instances(&self) -> usize {
         let most = self.gpu.report().max_binding.min(self.gpu.report().max_buffer);
-        // Memory comes in pieces of 16 bytes.
+        // Memory is allocated in multiples of 16 bytes.
         (most / 16 * 4).min(u64::from(u32::MAX) - 4096) as usize
     }
 

@@ -1,4 +1,4 @@
-//! The splats of each tile.
+//! Lists of the splats of each tile.
 
 use crate::DeviceError;
 use crate::gpu::grow::grow;
@@ -15,8 +15,8 @@ pub(in crate::gpu) struct TileLists {
 }
 
 impl Raster {
-    /// Records the lists of a view of `n` Gaussians, for at most `n_instances` (splat, tile) pairs: behind them, what the lists
-    /// hold is written down ([`Raster::apply_list_status`]).
+    /// Records the lists of a view of `n` Gaussians, for at most `n_instances` (splat, tile) pairs, and then their status
+    /// ([`Raster::apply_list_status`]).
     pub(super) fn list(
         &mut self,
         rec: &mut Recorder<'_>,
@@ -44,7 +44,7 @@ impl Raster {
             (&gaussians).into(),
         ];
         rec.dispatch(&shaders::TILE_EMIT, Groups::Linear(n), &bindings);
-        // Keys go from 0 to n_tiles: the latter marks instances that were counted and not found.
+        // Keys range from 0 to n_tiles; n_tiles marks instances that were counted but not emitted.
         let bits = (usize::BITS - n_tiles.leading_zeros()).max(1);
         let list_status = PairCount { most: n_instances, counted: Some(&self.list_status) };
         let sorted = self.tile_sorter.sort(rec, &tiles, &gaussians, list_status, bits)?;

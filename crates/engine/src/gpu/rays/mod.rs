@@ -1,5 +1,5 @@
-//! Light that is looked for along rays: small lights with a shadow each, and a whole environment by Monte-Carlo. The ports of
-//! `render/{direct,monte_carlo}.rs` and of what they ask of the CPU engine.
+//! Light that is traced along rays: small lights with a shadow each, and a whole environment by Monte-Carlo. Ports of the CPU
+//! versions of the tiers `high` and `monte_carlo`.
 
 mod monte_carlo;
 mod points;
@@ -12,16 +12,16 @@ pub use tree::TreeBuffers;
 use crate::gpu::Buffer;
 use crate::gpu::raster::BlendEnd;
 
-/// Memory that frames use one after the other.
+/// Memory that successive frames share.
 #[derive(Debug, Default)]
 pub struct RayMemory {
     /// Camera depth of each pixel's surface.
     depths: Option<Buffer<f32>>,
-    /// Two groups a Gaussian: what it sends of one light.
+    /// Two groups per Gaussian: its reflection of one light.
     rows: Option<Buffer<[f32; 4]>>,
-    /// The same of each pixel, planar.
+    /// The same per pixel, planar.
     reflected: Option<Buffer<[f32; 4]>>,
     ends: Option<Buffer<BlendEnd>>,
-    /// Diffuse and specular part of what each pixel sends, planar, times coverage.
+    /// Diffuse and specular radiance of each pixel, planar, times coverage.
     sent: Option<Buffer<[f32; 4]>>,
 }

@@ -1,4 +1,4 @@
-//! A whole environment in every pixel, by Monte-Carlo.
+//! Monte-Carlo estimate of the light of a whole environment in every pixel.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -9,8 +9,8 @@ use crate::gpu::rays::{RayMemory, TreeBuffers};
 use crate::gpu::{Buffer, Gpu, Recorder, shaders, uniform};
 use relume_scene::light::{EnvSampler, SampleCounts};
 
-/// Most samples of a dispatch: a device that is shared with a display must not be kept for long, and Mesa's software drivers end a
-/// thread's loops after 65,535 rounds, which are boxes here.
+/// Maximum number of samples per dispatch. A device that also drives a display must not be busy for long, and Mesa's software
+/// drivers end a thread's loops after 65,535 iterations, which here are visited boxes.
 const MAX_SAMPLES_PER_DISPATCH: u32 = 8;
 
 /// `MonteCarlo` of `shaders/monte_carlo.wgsl`.
@@ -55,20 +55,20 @@ impl EnvironmentBuffers {
     }
 }
 
-/// Which directions are drawn.
+/// Samples of a view.
 #[derive(Debug, Clone, Copy)]
 pub struct Samples {
-    /// How many, each way.
+    /// Number of samples per density.
     pub shares: SampleCounts,
-    /// Of all of them.
+    /// Seed of all samples.
     pub seed: u64,
-    /// Pixels of the frame before the first one of the view.
+    /// Number of pixels of the frame before the view's first pixel.
     pub pixels_before: u64,
 }
 
 impl RayMemory {
-    /// What each pixel of a full frame of unshaded Gaussians sends of `environment`: diffuse and specular part, planar, times
-    /// coverage.
+    /// Reflection of `environment` in each pixel of a full frame of unshaded Gaussians: diffuse and specular radiance, planar,
+    /// times coverage.
     ///
     /// # Errors
     /// As [`Gpu::buffer`].

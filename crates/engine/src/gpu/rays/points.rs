@@ -1,4 +1,4 @@
-//! Where in the world the surfaces are that pixels see.
+//! Depths of the surfaces that pixels see.
 
 use crate::DeviceError;
 use crate::gpu::grow::grow;

@@ -1,4 +1,4 @@
-//! Small lights, each with a shadow that is asked for in every pixel.
+//! Small lights, each with a shadow that is traced in every pixel.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -12,7 +12,7 @@ use relume_layout::constants::SHADOW_SAMPLE_OFFSETS;
 use relume_scene::light::{DominantLight, TableLight};
 use relume_scene::{ShadeAt, ShadingOptions, SplitLight, VisibilityForm};
 
-/// Most places of a light that rays go to.
+/// Maximum number of directions towards a light.
 const MAX_DIRECTIONS: usize = 7;
 
 /// `SharpLight` of `shaders/shared/sharp_light.wgsl`.
@@ -29,7 +29,7 @@ struct SharpLightUniform {
 }
 
 impl SharpLightUniform {
-    /// `light` on surfaces whose rows have `row_groups` groups, with shadows or without.
+    /// `light` for surfaces whose rows have `row_groups` groups, with or without shadows.
     fn new(light: &DominantLight, row_groups: usize, is_occluded: bool) -> Self {
         let [x, y, z] = light.direction.to_array().map(|v| v as f32);
         let [r, g, b] = light.irradiance.map(|v| v as f32);
@@ -52,8 +52,8 @@ impl SharpLightUniform {
 }
 
 impl RayMemory {
-    /// What each pixel of a full frame sends of `lights`, with the share of each that arrives: diffuse and specular part, planar,
-    /// times coverage.
+    /// Reflection of `lights` in each pixel of a full frame, each weighted by its arriving share: diffuse and specular radiance,
+    /// planar, times coverage.
     ///
     /// # Errors
     /// As [`Gpu::buffer`](crate::gpu::Gpu::buffer).
@@ -89,7 +89,7 @@ impl RayMemory {
         Ok(sent)
     }
 
-    /// What each pixel sends of a light that nothing hides: coverage and the sum, then 0 and the specular part, planar.
+    /// Reflection of an unoccluded light in each pixel: coverage and the sum, then 0 and the specular part, planar.
     fn reflected(
         &mut self,
         recorder: &mut Recorder<'_>,

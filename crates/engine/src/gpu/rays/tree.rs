@@ -1,4 +1,4 @@
-//! What hides what, in device memory.
+//! The tree of occluders, in device memory.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -33,7 +33,7 @@ impl TreeBuffers {
         let rules = RayRules {
             clearance: settings.clearance,
             bias: settings.bias,
-            // Compilers of shaders may assume that nothing is infinite.
+            // Shader compilers may assume that no value is infinite.
             reach: settings.reach.min(f32::MAX),
             n_nodes: tree.nodes.len() as u32,
         };

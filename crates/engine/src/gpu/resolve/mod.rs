@@ -1,4 +1,4 @@
-//! From a G-buffer to the outputs that were asked for.
+//! Converts a G-buffer to the requested outputs.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -18,20 +18,20 @@ struct ResolveUniform {
     /// First float of each output, in the order of [`Output`].
     first: [u32; 12],
     depth_scale: f32,
-    /// Bits: 1 from the tables, 2 from what was asked for along rays.
+    /// Sources of light, as bits: 1 tables, 2 light traced along rays.
     light: u32,
     pad_a: u32,
     pad_b: u32,
 }
 
-/// Where the light of a frame comes from.
+/// Source of a frame's light.
 #[derive(Debug, Clone, Copy)]
 pub enum PixelLight<'a> {
-    /// Tables.
+    /// Light tables.
     Tables,
-    /// Tables, and what each pixel sends besides: diffuse and specular part, planar, times coverage.
+    /// Light tables, plus the given radiance per pixel: diffuse and specular part, planar, times coverage.
     TablesAnd(&'a Buffer<[f32; 4]>),
-    /// That alone.
+    /// The given radiance alone.
     Alone(&'a Buffer<[f32; 4]>),
 }
 
@@ -42,7 +42,7 @@ pub struct Planes {
     /// First float of each output, and the end.
     first: Vec<usize>,
     values: Buffer<f32>,
-    /// For a binding without data.
+    /// Bound in place of missing data.
     nothing: Buffer<[f32; 4]>,
 }
 
@@ -98,7 +98,7 @@ impl Planes {
         Ok(())
     }
 
-    /// Brings the outputs to the host, in the order they were asked for.
+    /// Requests copies of the outputs to the host, in the order of the request.
     pub fn fetch(&self, recorder: &mut Recorder<'_>) -> Vec<(Output, ReadbackTicket<f32>)> {
         let ranges = self.first.windows(2).map(|w| w[0]..w[1]);
         self.wanted.iter().zip(ranges).map(|(p, range)| (*p, recorder.fetch(&self.values, range))).collect()

@@ -1,4 +1,4 @@
-//! Pictures against what the CPU engine's shader and surfaces give.
+//! Frame planes against those of the CPU engine's shader and surfaces.
 
 use super::*;
 use crate::cpu::{Pass, SurfaceShader, linear_from_srgb, normalise, surface_at};
@@ -25,7 +25,7 @@ const ALL: [Output; 11] = [
 ];
 const DEPTH_SCALE: f32 = 1.7;
 
-/// What one pixel of one plane is.
+/// Expected value of one pixel of one plane.
 fn expected(pass: &Pass, shader: &SurfaceShader<'_>, plane: Output, x: usize, y: usize) -> Vec<f32> {
     let alpha = pass.at(x, y, channel::COVERAGE);
     if plane == Output::Alpha {
@@ -104,7 +104,7 @@ fn resolved(
     (found.into_iter().map(|p| p.1).collect(), host.collect())
 }
 
-/// As [`relative_error`], with infinities that must agree and do not count in the scale.
+/// As [`relative_error`], but infinities must be equal and do not count in the scale.
 fn plane_error(found: &[f32], host: &[f32]) -> f64 {
     assert!(found.iter().zip(host).all(|(a, b)| a.is_infinite() == b.is_infinite()));
     let finite = |v: &[f32]| v.iter().map(|v| if v.is_infinite() { 0.0 } else { *v }).collect::<Vec<f32>>();

@@ -1,4 +1,4 @@
-//! Shading of a whole view, forward and backward (docs/MODEL.md section 4).
+//! Shading of a whole view, forward and backward (docs/MODEL.md, section 4).
 
 use bytemuck::{Pod, Zeroable};
 
@@ -14,7 +14,7 @@ use relume_scene::ShadingOptions;
 #[cfg(test)]
 pub(super) mod tests;
 
-/// `Shading` of `shaders/shared/shading.wgsl`: the forward model.
+/// `Shading` of `shaders/shared/shading.wgsl`: options of the forward model.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 struct ShadingUniform {
@@ -52,7 +52,7 @@ struct CompositeUniform {
     n_pixels: u32,
     /// 1: images are compared through the sRGB curve.
     srgb: u32,
-    /// Groups of the G-buffer gradient of a pass of shaded Gaussians.
+    /// Number of groups of the G-buffer gradient of a pass of shaded Gaussians.
     n_groups: u32,
     pad: u32,
 }
@@ -70,7 +70,7 @@ impl CompositeUniform {
     }
 }
 
-/// One image a branch, or their gradients: rgb a pixel, the fourth member unused.
+/// One image per branch, or their gradients: rgb per pixel, the fourth member unused.
 #[derive(Debug, Clone)]
 pub struct Images {
     /// Physically based branch, display-referred.
@@ -92,12 +92,12 @@ impl Images {
     }
 }
 
-/// How surfaces are shaded, and under which light.
+/// Options of shading and the light.
 #[derive(Debug, Clone)]
 pub struct Shading {
-    /// The forward model.
+    /// Options of the forward model.
     pub options: ShadingOptions,
-    /// What images are composited over, display-referred.
+    /// Background behind the images, display-referred.
     pub background: [f32; 3],
     /// Tables of the light, for visibility of the surfaces' degree.
     pub light: LightBuffers,
@@ -106,12 +106,12 @@ pub struct Shading {
 }
 
 impl Shading {
-    /// Visibility coefficients the surfaces carry: (order + 1)^2 for orders 0 to 6.
+    /// Visibility coefficients of the surfaces: (degree + 1)^2 for degrees 0 to 6.
     pub(super) fn coefficients(&self) -> usize {
         self.light.layout.n_coefficients as usize
     }
 
-    /// Runs `kernel` with the first six bindings of everything that shades, then those given.
+    /// Dispatches `kernel` with the six bindings that all shading kernels share, followed by the given ones.
     pub(super) fn dispatch(
         &self,
         recorder: &mut Recorder<'_>,
@@ -152,20 +152,20 @@ pub fn shade(
     Ok(())
 }
 
-/// What [`shade_backward`] is given and where it writes.
+/// Inputs and outputs of [`shade_backward`].
 #[derive(Debug, Clone, Copy)]
 pub struct ShadeGradients<'a> {
     /// The full G-buffer that was shaded.
     pub gbuffer: &'a Buffer<[f32; 4]>,
     /// Gradient by both images.
     pub by_images: &'a Images,
-    /// Gradient by the buffers themselves (`losses::surface_terms`), two vec4 a pixel, planar.
+    /// Gradient by the buffers themselves (`objective::surface_terms`), two vec4 per pixel, planar.
     pub by_buffers: &'a Buffer<[f32; 4]>,
-    /// Written: gradient by the G-buffer, `[group][pixel]`, of the groups of `differentiated`.
+    /// Receives the gradient by the G-buffer, `[group][pixel]`, of the groups of `differentiated`.
     pub by_gbuffer: &'a Buffer<[f32; 4]>,
-    /// Added to: gradient by the light tables, laid out as they are. The caller clears it.
+    /// Accumulates the gradient by the light tables, in their layout. The caller clears it.
     pub by_tables: &'a Buffer<f32>,
-    /// `Material`, or `Full` to differentiate indirect light and visibility too.
+    /// `Material`, or `Full` to also differentiate indirect light and visibility.
     pub differentiated: Channels,
 }
 
@@ -228,7 +228,7 @@ pub fn shaded_images(
     recorder.dispatch(&shaders::SHADED_IMAGES, Groups::Linear(camera.pixels()), &bindings);
 }
 
-/// Backward of [`shaded_images`]: gradients of the G-buffer; none of the light tables, which get theirs at the Gaussians.
+/// Backward pass of [`shaded_images`]: the gradient of the G-buffer. The light tables get their gradient at the Gaussians.
 pub fn shaded_images_backward(
     recorder: &mut Recorder<'_>,
     camera: &CameraUniform,
@@ -248,7 +248,7 @@ pub fn shaded_images_backward(
     recorder.dispatch(&shaders::SHADED_IMAGES_BACKWARD, Groups::Linear(camera.pixels()), &bindings);
 }
 
-/// The radiance branch alone, for passes that carry no material.
+/// The radiance branch alone, for passes without material.
 pub fn radiance_image(
     recorder: &mut Recorder<'_>,
     camera: &CameraUniform,
@@ -261,8 +261,8 @@ pub fn radiance_image(
     recorder.dispatch(&shaders::RADIANCE, Groups::Linear(camera.pixels()), &bindings);
 }
 
-/// Backward of [`radiance_image`] with the gradients by the buffers: writes one group of the G-buffer gradient, or two
-/// for any `channels` beyond `Colour`.
+/// Backward pass of [`radiance_image`] with the gradients by the buffers: writes one group of the G-buffer gradient, or two
+/// for `channels` beyond `Colour`.
 pub fn radiance_image_backward(
     recorder: &mut Recorder<'_>,
     camera: &CameraUniform,

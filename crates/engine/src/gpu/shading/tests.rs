@@ -1,4 +1,4 @@
-//! Shading on the device against the CPU engine, on G-buffers of noise: every pixel another surface.
+//! Shading on the device against the CPU engine, on random G-buffers, so that every pixel has another surface.
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -35,7 +35,7 @@ pub(in crate::gpu) fn camera_view(size: (u32, u32), options: &ShadingOptions) ->
     RasterCamera::new(&camera, options)
 }
 
-/// A pass whose G-buffer is then free to be overwritten.
+/// A pass whose G-buffer the test overwrites.
 pub(in crate::gpu) fn empty_pass(view: RasterCamera, options: &ShadingOptions, channels: Channels) -> Pass {
     let source = AttributeSource {
         gaussians: &Gaussians::zeroed(0, 2, 0, 0),
@@ -54,7 +54,8 @@ pub(in crate::gpu) fn set(pass: &mut Pass, x: usize, y: usize, channel: usize, v
     pass.gbuffer[at] = value;
 }
 
-/// A G-buffer of `channels` in `[tile][row][channel][lane]` as the device lays it out, padding channels spoiled.
+/// A G-buffer of `channels` in `[tile][row][channel][lane]`, converted to the device's layout, with garbage in padding
+/// channels.
 pub(in crate::gpu) fn planar_gbuffer(pass: &Pass, values: &[f32], channels: Channels) -> Vec<[f32; 4]> {
     let (w, h, stored) = (pass.view.width, pass.view.height, channels.stored());
     let mut out = vec![[f32::NAN; 4]; w * h * stored / 4];
@@ -158,7 +159,7 @@ impl ShadingCase {
         if all { self.pass.channels } else { Channels::Material }
     }
 
-    /// Runs both directions on the device.
+    /// Runs the forward and backward pass on the device.
     fn run(&self, by: &BranchImages, by_buffers: &[BufferGradient], all: bool) -> Results {
         let gpu = &self.gpu;
         let view = CameraUniform::new(&self.pass.view);
@@ -225,7 +226,7 @@ impl ShadingCase {
     }
 }
 
-/// As `surface_terms.wgsl` writes them.
+/// The gradients in the layout of `surface_terms.wgsl`.
 pub(in crate::gpu) fn packed(by_buffers: &[BufferGradient]) -> Vec<[f32; 4]> {
     let first = by_buffers.iter().map(|b| [b.normal[0], b.normal[1], b.normal[2], b.plane]);
     first.chain(by_buffers.iter().map(|b| [b.coverage, b.metal, b.rough, f32::NAN])).collect()
@@ -244,7 +245,7 @@ fn forms() -> Vec<ShadingOptions> {
     out
 }
 
-/// The form whose pixels have all to find.
+/// Options with shading in the pixel.
 fn deferred() -> ShadingOptions {
     ShadingOptions { shade_at: ShadeAt::Pixel, ..Default::default() }
 }
@@ -289,7 +290,7 @@ fn shading_matches_the_cpu_for_sh_degrees_and_image_sizes() {
         [(0, (1, 1)), (1, (16, 16)), (2, (17, 3)), (3, (33, 16)), (5, (9, 31)), (6, (20, 20))]
     {
         let case = ShadingCase::new(&gpu, 40 + sh_degree as u64, size, sh_degree, deferred());
-        // The largest kernels take a software device seconds to compile: one of the two directions each.
+        // A software device compiles the largest kernels in seconds, so each degree above 4 tests one of the two kernels.
         for all in [false, true].into_iter().filter(|all| sh_degree < 5 || *all == (sh_degree == 6)) {
             let errors = errors(&case, all);
             assert!(errors[0] < 2e-5 && errors[1] < 1e-6, "{sh_degree} {size:?}: {errors:?}");

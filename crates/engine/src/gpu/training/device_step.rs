@@ -1,4 +1,4 @@
-//! A step as the device takes it.
+//! A training step in device memory.
 
 use crate::gpu::{Buffer, CameraUniform, PhotoPixel, ReadbackTicket, Submission};
 use crate::light_rotation::LightRotation;
@@ -19,7 +19,7 @@ pub(super) struct DeviceStep {
     pub(super) counts: StepCounts,
 }
 
-/// A step that was submitted.
+/// A submitted step.
 pub(super) struct SubmittedStep {
     pub(super) step: DeviceStep,
     pub(super) submission: Submission,

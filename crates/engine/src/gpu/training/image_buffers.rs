@@ -15,19 +15,19 @@ pub(super) struct ImageBuffers {
     pixels: usize,
     pub(super) images: Images,
     pub(super) by_images: Images,
-    /// Partial derivatives of the image terms, three elements a pixel.
+    /// Partial derivatives of the image terms, three elements per pixel.
     partials: Buffer<[f32; 4]>,
-    /// Gradient by the buffers themselves, two elements a pixel.
+    /// Gradient by the buffers themselves, two elements per pixel.
     pub(super) by_buffers: Buffer<[f32; 4]>,
 }
 
 impl ImageBuffers {
-    /// The canvas in `slot`, replaced when it has another number of pixels.
+    /// The buffers in `slot`, replaced when they have another number of pixels.
     pub(super) fn at(slot: &mut Option<Self>, gpu: &Gpu, pixels: usize) -> Result<Self, DeviceError> {
         if let Some(image_buffers) = slot.as_ref().filter(|image_buffers| image_buffers.pixels == pixels) {
             return Ok(image_buffers.clone());
         }
-        // The old one goes first: both at once may not fit.
+        // The old buffers are freed first: both at once may not fit.
         *slot = None;
         let image_buffers = Self {
             pixels,
@@ -39,7 +39,7 @@ impl ImageBuffers {
         Ok(slot.insert(image_buffers).clone())
     }
 
-    /// Adds the terms on the images and buffers of `frame` to `losses`, and writes their gradients.
+    /// Adds the terms on the images and buffers of `frame` to `losses` and writes their gradients.
     pub(super) fn terms(
         &self,
         recorder: &mut Recorder<'_>,

@@ -1,7 +1,7 @@
-//! A training on the device.
+//! Training on the device.
 //!
-//! A step is one submission, which ends with a read of its sums; the host waits for those of the step before, so that the
-//! device always has a step to work on. Between steps everything that is learned stays in device memory.
+//! A step is one submission, which ends with a copy of its sums. The host waits for the sums of the previous step, so that the
+//! device always has a step to execute. The training state stays in device memory between steps.
 
 mod device_step;
 mod image_buffers;
@@ -34,19 +34,19 @@ use crate::{
 use relume_scene::light::EnvOperators;
 use relume_scene::{IndirectForm, Model, VisibilityForm};
 
-/// Slot of the sums that carries the status of the update: the last one, which no term has.
+/// Slot of the sums for the status of the update: the last slot, which no term uses.
 const STATUS_SLOT: usize = LOSS_SLOTS - 1;
 
 /// A training on the device.
 #[derive(Debug)]
 pub struct GpuTraining {
     gpu: Gpu,
-    /// Shape, options and card of the model; its parameters are those of the last load.
+    /// Shape, options and card of the model; its parameters are outdated (those of the last load).
     shape: Model,
     state: DeviceState,
     /// The operators of the light.
     operators: Arc<EnvOperators>,
-    /// With the operators of its light.
+    /// The snapshot, with the operators of its light.
     snapshot: Option<(DeviceState, Arc<EnvOperators>)>,
     /// Degree of the measured visibility.
     sh_degree: usize,
@@ -60,12 +60,12 @@ pub struct GpuTraining {
     /// Gradient of prototypes and raw environment.
     globals_gradient: Buffer<f32>,
     status: Buffer<u32>,
-    /// The last step, as long as nobody knows what it came to.
+    /// The last step, while its result is not known.
     pending: Option<SubmittedStep>,
 }
 
 impl GpuTraining {
-    /// Takes a training over and makes `state` its first snapshot.
+    /// Starts a training from `state`, which is its first snapshot.
     ///
     /// # Errors
     /// [`DeviceError::TooLarge`] or [`DeviceError::OutOfMemory`] when it does not fit.
@@ -100,13 +100,13 @@ impl GpuTraining {
     }
 
     fn take_snapshot(&mut self) -> Result<(), DeviceError> {
-        // The old copy goes first: three states at once may not fit.
+        // The old copy is freed first: three states at once may not fit.
         self.snapshot = None;
         self.snapshot = Some((self.state.copied(&self.gpu)?, self.operators.clone()));
         Ok(())
     }
 
-    /// Takes other operators of the light and the lights that are theirs.
+    /// Sets other operators of the light, and their dominant lights.
     fn change_operators(&mut self, operators: &Arc<EnvOperators>) -> Result<(), DeviceError> {
         self.light = TrainingLight::new(&self.gpu, operators)?;
         self.shape.lights = operators.split().clone();
@@ -115,7 +115,7 @@ impl GpuTraining {
     }
 
     /// # Errors
-    /// When a step is not done: what is asked for would be of the state before it, or after.
+    /// When a step is pending: the requested data could be that before or after it.
     fn check_finished(&self) -> Result<(), DeviceError> {
         match self.pending {
             Some(_) => Err(DeviceError::Misuse("a step of the training is not finished".to_owned())),
@@ -123,7 +123,7 @@ impl GpuTraining {
         }
     }
 
-    /// Measures visibility, and gathers light over `bounces` rounds.
+    /// Measures visibility and gathers light over `bounces` rounds.
     fn measure_once(
         &mut self,
         how: &ProbeMeasurement<'_>,

@@ -8,10 +8,10 @@ use crate::DeviceError;
 use crate::gpu::{Buffer, Gpu, PhotoPixel, photo_pixel};
 use crate::{Photo, PhotoId, PhotoSize};
 
-/// Device memory that photographs may take, bytes; more of them are sent anew each step.
+/// Maximum device memory of photographs, bytes; photographs beyond it are uploaded at each step.
 const PHOTO_BYTES: usize = 4 << 30;
 
-/// Fewest pixels that a thread packs.
+/// Smallest number of pixels per thread when a photograph is packed.
 const SPLIT: usize = 1 << 14;
 
 /// Pixels of one revision of a photograph.
@@ -21,10 +21,10 @@ struct CachedPhoto {
     pixels: Buffer<PhotoPixel>,
 }
 
-/// Photographs that stay in device memory, rgb and mask a pixel.
+/// Cache of photographs in device memory, rgb and mask per pixel.
 #[derive(Debug, Default)]
 pub(super) struct DevicePhotoCache {
-    /// By index and size.
+    /// Photographs by index and size.
     photos: HashMap<(usize, PhotoSize), CachedPhoto>,
     bytes: usize,
 }
@@ -40,8 +40,8 @@ impl DevicePhotoCache {
         found.map(|found| &found.pixels)
     }
 
-    /// The photograph in device memory; it stays there while the memory for photographs lasts. Of one that is held no pixel
-    /// is read.
+    /// The photograph in device memory; it is cached while the memory for photographs suffices. The pixels of a cached
+    /// photograph are not read.
     pub(super) fn upload(
         &mut self,
         gpu: &Gpu,
@@ -61,7 +61,7 @@ impl DevicePhotoCache {
         let buffer = gpu.upload("a photograph", &pixels)?;
         let bytes = size_of_val(&pixels[..]);
         let key = (id.index, id.size);
-        // One of another revision has the same size and gives way.
+        // A photograph of another revision has the same size and is replaced.
         if self.photos.contains_key(&key) || self.bytes + bytes <= PHOTO_BYTES {
             let cached = CachedPhoto { revision: id.revision, pixels: buffer.clone() };
             let earlier = self.photos.insert(key, cached);

@@ -1,4 +1,4 @@
-//! Whether a training fits a device.
+//! Check that a training fits a device.
 
 use crate::gpu::Gpu;
 use crate::gpu::raster::GRADIENT_HEADER;
@@ -7,8 +7,8 @@ use relume_layout::channel::Channels;
 use relume_scene::{Field, Gaussians};
 
 impl TrainingLimits {
-    /// Refuses a training whose largest array would not fit one binding of `gpu`: of the photographs' pixels, or of all
-    /// its Gaussians, which have the widths of those of `g`.
+    /// Refuses a training whose largest array exceeds one binding of `gpu`: the pixels of the largest photograph, or the
+    /// Gaussians, which have the widths of those of `g`.
     ///
     /// # Errors
     /// [`DeviceError::TooLarge`], which names the setting at fault.

@@ -1,4 +1,4 @@
-//! All that a training has learned, in device memory.
+//! State of a training in device memory.
 
 use crate::DeviceError;
 use crate::gpu::density::read_stats;
@@ -9,26 +9,27 @@ use crate::gpu::{AttributeSource, Buffer, Gpu};
 use crate::{LightRotation, Moments, TrainState};
 use relume_scene::{IndirectForm, MAX_LIGHTS, Model};
 
-/// What is measured, not learned.
+/// Measured data, which is not learned.
 #[derive(Debug, Clone)]
 pub(super) struct MeasuredBuffers {
     /// Probe labels, `[Gaussian][coefficient]`.
     pub(super) labels: Option<Buffer<f32>>,
-    /// Gathered light by turn of the light, each with what arrives of the model's lights, as [`AttributeSource::gathered`].
+    /// Gathered light per rotation of the light, each with the arriving shares of the model's lights, as in
+    /// [`AttributeSource::gathered`].
     pub(super) gathered: Vec<Buffer<f32>>,
-    /// True once anything was measured, also for Gaussians that are gone.
+    /// True after the first measurement, also after its Gaussians have been replaced.
     pub(super) ever: bool,
 }
 
 impl MeasuredBuffers {
-    /// Drops what was measured of Gaussians that are gone.
+    /// Drops the measurements of replaced Gaussians.
     pub(super) fn forget_values(&mut self) {
         self.labels = None;
         self.gathered.clear();
     }
 }
 
-/// What a host has measured of light by turn of the light, each in the order of the device's buffer.
+/// Measured light of a host's state per rotation of the light, each in the order of the device's buffer.
 fn measured_light(state: &TrainState) -> Vec<Vec<f32>> {
     let floats = GATHERED * state.model.gaussians.len();
     let mut blocks: Vec<Vec<f32>> =
@@ -42,12 +43,12 @@ fn measured_light(state: &TrainState) -> Vec<Vec<f32>> {
     blocks
 }
 
-/// All that a training has learned and measured.
+/// State of a training: everything that it has learned and measured.
 #[derive(Debug)]
 pub(super) struct DeviceState {
     /// Parameters and moments.
     pub(super) model: ModelBuffers,
-    /// Sum of absgrad and steps on screen, by Gaussian.
+    /// Sum of absgrad and number of steps on screen, per Gaussian.
     pub(super) density: Buffer<[f32; 2]>,
     pub(super) measured: MeasuredBuffers,
 }
@@ -83,7 +84,7 @@ impl DeviceState {
         Ok(Self { model, density: gpu.upload("density statistics", &stats)?, measured })
     }
 
-    /// The state on the host; `shape` gives all of the model but its parameters.
+    /// The state on the host; `shape` gives everything of the model except its parameters.
     pub(super) fn download(&self, gpu: &Gpu, shape: &Model) -> Result<TrainState, DeviceError> {
         let buffers = &self.model;
         let gaussians = |buffer| buffers.read_gaussians(gpu, buffer, &shape.gaussians);
@@ -103,7 +104,7 @@ impl DeviceState {
             arriving = light.split_off(light.len().min(GATHERED * buffers.len()));
             gathered.extend(light);
         }
-        // Where nothing is gathered, the zeros in front of what arrives are no measurement.
+        // For models without gathered light, the zeros before the arriving shares are no measurement.
         let gathers = shape.shading.indirect == IndirectForm::Gathered;
         Ok(TrainState {
             arriving: arriving.as_chunks::<MAX_LIGHTS>().0.to_vec(),
@@ -119,7 +120,7 @@ impl DeviceState {
         })
     }
 
-    /// The same state in memory of its own.
+    /// A copy of the state.
     pub(super) fn copied(&self, gpu: &Gpu) -> Result<Self, DeviceError> {
         let mut recorder = gpu.record();
         let mut copy = |buffer: &Buffer<f32>| -> Result<Buffer<f32>, DeviceError> {
@@ -146,7 +147,7 @@ impl DeviceState {
         Ok(Self { model, density, measured })
     }
 
-    /// Drops what was measured of lights that are the model's no longer.
+    /// Drops the arriving shares of replaced lights.
     pub(super) fn forget_arriving(&mut self, gpu: &Gpu) -> Result<(), DeviceError> {
         let floats = GATHERED * self.model.len();
         let mut recorder = gpu.record();
@@ -158,7 +159,7 @@ impl DeviceState {
         recorder.submit().map(drop)
     }
 
-    /// The model as frames read it, under the light of the training as it stood in a photograph.
+    /// The model as input of frames, under the training's light with the rotation of a photograph.
     pub(super) fn source(&self, light: &TrainingLight, turn: LightRotation) -> AttributeSource {
         AttributeSource {
             gathered: self.measured.gathered.get(turn.block).cloned(),

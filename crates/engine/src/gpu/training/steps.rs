@@ -1,4 +1,4 @@
-//! Steps of a training: recorded, submitted, and taken in when what they came to arrives.
+//! Steps of a training: recording, submission, and handling of their results.
 
 use crate::gpu::frame::{FrameBranches, FrameGradients, FramePass};
 use crate::gpu::objective::{LOSS_SLOTS, LossSlot, objective};
@@ -31,8 +31,8 @@ impl GpuTraining {
         })
     }
 
-    /// Hands a step to the device. If its tile lists are short, neither it nor any step behind it changes anything until
-    /// [`Self::finish_step`] has seen that.
+    /// Submits a step. If its tile lists are too short, neither it nor a later step changes the state until
+    /// [`Self::finish_step`] has handled that.
     pub(super) fn submit(&mut self, step: DeviceStep) -> Result<SubmittedStep, DeviceError> {
         let gpu = self.gpu.clone();
         let pass = self.pass(&step);
@@ -74,8 +74,8 @@ impl GpuTraining {
         Ok(SubmittedStep { step, submission: recorder.submit()?, losses, list_status })
     }
 
-    /// Waits for a step and gives what it came to. Where its tile lists were short, it is submitted again with more memory, and so
-    /// is the step behind it, which changed nothing either.
+    /// Waits for a step and returns its result. If its tile lists were too short, it is submitted again with more memory, and
+    /// so is the step after it, which changed nothing either.
     pub(super) fn finish_step(&mut self, mut pending: SubmittedStep) -> Result<StepResult, DeviceError> {
         loop {
             let arrival = pending.submission.wait_for_data()?;
@@ -90,7 +90,7 @@ impl GpuTraining {
         }
     }
 
-    /// What the frame of a step shows.
+    /// Settings of a step's frame.
     fn pass(&self, step: &DeviceStep) -> FramePass {
         let branches = match step.branches.is_physical() {
             false => FrameBranches::Radiance(step.background),
@@ -105,7 +105,7 @@ impl GpuTraining {
     }
 }
 
-/// What a step came to, from its sums and the status in their last slot.
+/// Result of a step, from its sums and the status in their last slot.
 fn step_sums(step: &DeviceStep, sums: &[f32]) -> StepResult {
     let poisoned = sums[STATUS_SLOT].to_bits() != 0;
     let loss = objective(sums, &step.weights);
@@ -114,7 +114,7 @@ fn step_sums(step: &DeviceStep, sums: &[f32]) -> StepResult {
     StepResult { loss, mse: sums[leading as usize], finite: loss.is_finite() && !poisoned }
 }
 
-/// What the parameter side of a step works on.
+/// Inputs of the parameter update of a step.
 struct Update<'a> {
     shape: &'a Model,
     state: &'a DeviceState,
@@ -124,7 +124,8 @@ struct Update<'a> {
 }
 
 impl Update<'_> {
-    /// From the splats' gradients to new parameters; to new prototypes and light where the physically based branch trains.
+    /// Records the update of the parameters from the splats' gradients and, where the physically based branch trains, of
+    /// prototypes and light.
     fn record(
         &self,
         recorder: &mut Recorder<'_>,

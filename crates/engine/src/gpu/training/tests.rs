@@ -83,7 +83,7 @@ fn step(photo: &Photo, index: usize, number: u32) -> Step<'_> {
     }
 }
 
-/// What `count` steps came to.
+/// Results of `count` steps.
 fn run(training: &mut GpuTraining, count: u32) -> Vec<StepResult> {
     let photos = photos();
     let mut sums = Vec::new();
@@ -230,7 +230,7 @@ fn training_never_queues_more_than_three_submissions_ahead() {
     assert_eq!(gpu.inner.counters.take_max_in_flight(), 2, "slices that a frame would wait for");
     assert!(training.snapshot().unwrap());
     run(&mut training, 3);
-    // Copies of the snapshot come before the first step.
+    // Copies of the snapshot precede the first step.
     assert!(gpu.inner.counters.take_max_in_flight() <= 3);
 }
 

@@ -1,8 +1,8 @@
-//! The parameter side of a step: from the summed gradients of the splats to new parameters, all on the device.
+//! Parameter update of a step on the device: from the summed gradients of the splats to new parameters.
 //!
-//! `shaders/update.wgsl` takes every Gaussian through the chain rules of projection and attributes
-//! (docs/MODEL.md sections 1 to 3), adds the terms of the objective that are on the parameters themselves
-//! (section 5), and runs Adam; `shaders/adam_globals.wgsl` does the same for prototypes and light.
+//! For every Gaussian, `shaders/update.wgsl` computes the chain rules of projection and attributes (docs/MODEL.md, sections 1
+//! to 3), adds the terms of the objective on the parameters themselves (section 5) and runs Adam.
+//! `shaders/adam_globals.wgsl` does the same for prototypes and light.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -16,9 +16,9 @@ use relume_scene::Field;
 
 pub use relume_layout::kernel_constants::STATUS_WORDS;
 
-/// Slot of `UpdateUniform::rates` for radiance coefficients beyond degree 0.
+/// Slot of `UpdateUniform::rates` for radiance coefficients above degree 0.
 const RADIANCE_REST: usize = Field::COUNT;
-/// Slots of `UpdateUniform::rates`.
+/// Number of slots of `UpdateUniform::rates`.
 const RATES: usize = Field::COUNT + 1;
 
 /// `Update` of `shaders/update.wgsl`.
@@ -60,22 +60,22 @@ struct LabelCount {
     pad_2: u32,
 }
 
-/// What the backward pass through the image left, and the labels.
+/// Gradients from the backward pass through the image, and the labels.
 #[derive(Debug, Clone, Copy)]
 pub struct UpstreamGradients<'a> {
     /// The camera.
     pub camera: &'a CameraUniform,
-    /// Splats by Gaussian.
+    /// Splats per Gaussian.
     pub splats: &'a Buffer<SplatRecord>,
-    /// Summed gradients by Gaussian, `8 + 4 groups` floats; rows of invisible splats are not read.
+    /// Summed gradients per Gaussian, `8 + 4 groups` floats; rows of invisible splats are not read.
     pub gradients: &'a Buffer<f32>,
-    /// Groups of four channels that were differentiated: 1 (colour), 2 (geometry), 4 (material) or all.
+    /// Number of differentiated groups of four channels: 1 (colour), 2 (geometry), 4 (material) or all.
     pub groups: usize,
-    /// `E_j` of Eq. 20 and where its gradient is added, `[16][3]` both; only for `IndirectForm::Learned`.
+    /// `E_j` of Eq. 20 and the buffer to which its gradient is added, both `[16][3]`; only for `IndirectForm::Learned`.
     pub indirect_basis: Option<(&'a Buffer<f32>, &'a Buffer<f32>)>,
     /// Measured visibility, `[Gaussian][coefficient]`.
     pub probe_labels: Option<&'a Buffer<f32>>,
-    /// Backward labels by Gaussian: `sum w That, sum w`; zero where there is none.
+    /// Backward labels per Gaussian: `sum w That, sum w`; zero without a label.
     pub view_labels: Option<&'a Buffer<[f32; 2]>>,
 }
 
@@ -95,41 +95,41 @@ impl<'a> UpstreamGradients<'a> {
     }
 }
 
-/// Sums that the update adds to; cleared by the caller.
+/// Sums to which the update adds; the caller clears them.
 #[derive(Debug, Clone, Copy)]
 pub struct UpdateSums<'a> {
-    /// Gradient of prototypes and raw environment, like `ModelBuffers::globals`; the prototypes' part is added here.
+    /// Gradient of prototypes and raw environment, laid out as `ModelBuffers::globals`; the update adds the prototypes' part.
     pub globals_gradient: &'a Buffer<f32>,
-    /// 16 values, slots of `shaders/shared/losses.wgsl`.
+    /// 16 values, the slots of [`LossSlot`](relume_layout::kernel_constants::LossSlot).
     pub losses: &'a Buffer<f32>,
     /// Per Gaussian: sum of absgrad in half image widths, steps on screen.
     pub density: &'a Buffer<[f32; 2]>,
-    /// What the tile lists of the step hold ([`Projected::list_status`](crate::gpu::raster::Projected::list_status)): where they
-    /// were short, nothing is updated.
+    /// Status of the step's tile lists ([`Projected::list_status`](crate::gpu::raster::Projected::list_status)); if they were too
+    /// short, nothing is updated.
     pub list_status: &'a Buffer<u32>,
-    /// Element 0 becomes non-zero when a gradient is not finite: what it belongs to was then left alone, and the step
-    /// must be rolled back.
+    /// Element 0 becomes non-zero when a gradient is not finite: its parameters are then unchanged, and the step must be rolled
+    /// back.
     pub status: &'a Buffer<u32>,
 }
 
-/// Everything a step of the Gaussians works on.
+/// Inputs and outputs of an update of the Gaussians.
 #[derive(Debug, Clone, Copy)]
 pub struct StepInput<'a> {
     /// Parameters and moments.
     pub model: &'a ModelBuffers,
     /// Gradients of the image, and labels.
     pub upstream: UpstreamGradients<'a>,
-    /// What is added to.
+    /// Sums to which the update adds.
     pub sums: UpdateSums<'a>,
     /// Weights of the terms on the parameters.
     pub weights: ParameterWeights,
 }
 
-/// The kernels with the little memory of their own.
+/// The update kernels with their small buffers.
 #[derive(Debug, Clone)]
 pub struct Updater {
     label_count: Buffer<u32>,
-    /// Bound in place of what a step does not have: one that is only read, one that is declared written.
+    /// Bound in place of missing inputs: one buffer for read-only bindings, one for read-write bindings.
     unread: Buffer<f32>,
     unwritten: Buffer<f32>,
 }
@@ -156,12 +156,12 @@ impl Updater {
         let uniforms = self.uniforms(recorder, input, rate_table(sizes, counts));
         let model = input.model;
         self.dispatch(recorder, &shaders::UPDATE, &uniforms, input, &[&model.first, &model.second]);
-        // Parameters and both moments read and written, the gradient row read; about 20 operations an element.
+        // Parameters and both moments read and written, the gradient row read; about 20 operations per element.
         let (floats, row) = (model.layout.floats() as u64, 8 + 4 * input.upstream.groups as u64);
         recorder.work(24 * floats + model.len() as u64 * (64 + 4 * row), 20 * floats);
     }
 
-    /// The gradient of every parameter instead of a step, into `out`, laid out as the parameters.
+    /// Writes the gradient of every parameter to `out`, laid out as the parameters, instead of an Adam step.
     pub fn gradients(&self, recorder: &mut Recorder<'_>, input: &StepInput<'_>, out: &Buffer<f32>) {
         let uniforms = self.uniforms(recorder, input, [[0.0; 4]; RATES]);
         self.dispatch(recorder, &shaders::UPDATE_GRADIENTS, &uniforms, input, &[out]);
@@ -201,7 +201,7 @@ impl Updater {
         recorder.dispatch(&shaders::ADAM_GLOBALS, Groups::Linear(n), &bindings);
     }
 
-    /// The uniform of a step, after counting the view's labels where they are asked for.
+    /// The uniform of a step; counts the view's labels first where they have a weight.
     fn uniforms(
         &self,
         recorder: &mut Recorder<'_>,
@@ -266,7 +266,7 @@ impl Updater {
         bindings.extend(outputs.iter().map(|b| (*b).into()));
         recorder.stage("update");
         let (floats, row) = (model.layout.floats() as u64, 8 + 4 * upstream.groups as u64);
-        // Parameters and two moments in and out, or parameters in and gradients out; splats and their gradients in.
+        // Parameters and two moments read and written, or parameters read and gradients written; splats and their gradients read.
         let passes = 2 * outputs.len() as u64 + u64::from(outputs.len() > 1) * 2;
         recorder.work(4 * (passes * floats + model.len() as u64 * (16 + row)), 12 * floats);
         recorder.dispatch(kernel, Groups::Linear(model.len()), &bindings);

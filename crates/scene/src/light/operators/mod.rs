@@ -1,5 +1,5 @@
 //! Environment operators as explicit linear maps (docs/MODEL.md section 4): tables = M L, and the gradient is M^T g.
-//! Strong small lights may be taken out first: each is one more read-out of the texels.
+//! Dominant lights may be split off first: the irradiance of each is one more linear function of the texels.
 
 mod rows;
 
@@ -13,11 +13,11 @@ use crate::{LightSplit, MAX_LIGHTS, SplitLight, sh_count, texel_directions};
 
 use rows::{LANES, Slice, SlicedRows, add_rows};
 
-/// Rows, and slices of rows, that a task takes at least.
+/// Smallest number of rows, or of slices of rows, per task.
 const NODES: usize = 32;
 const SLICES: usize = 16;
 
-/// Where a roughness lies between two prefiltered levels.
+/// Position of a roughness between two prefiltered levels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LevelPosition<T> {
     /// The level below.
@@ -46,7 +46,7 @@ impl<T: num_traits::Float> LevelPosition<T> {
     }
 }
 
-/// How finely directions are tabulated.
+/// Resolution of the tables over directions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TableResolution {
     /// Nodes along a cube edge for normals.
@@ -89,7 +89,7 @@ impl CompressedRows {
     }
 }
 
-/// The operators of one environment size, and what of an environment is taken out as lights first.
+/// The operators of one environment size, with the dominant lights that are split off first.
 #[derive(Debug, Clone)]
 pub struct EnvOperators {
     maps: Arc<OperatorMatrices>,
@@ -109,11 +109,11 @@ struct OperatorMatrices {
     cosine_transposed: SparseRows,
     specular: [SparseRows; SPECULAR_LEVELS.len()],
     specular_transposed: [SparseRows; SPECULAR_LEVELS.len()],
-    /// The prefilter levels once more, for whoever applies them on the CPU.
+    /// A second copy of the prefilter levels, laid out for the CPU.
     slices: OnceLock<Slices>,
-    /// `Y_j(w)` a texel, padded.
+    /// `Y_j(w)` per texel, padded.
     harmonics: Vec<f32>,
-    /// `dw` a texel.
+    /// `dw` per texel, steradian.
     solid_angles: Vec<f32>,
 }
 
@@ -132,7 +132,7 @@ impl EnvOperators {
             SparseRows::new(&diffuse_grid, |n| texels.iter().map(|(d, w)| n.dot(*d).max(0.0) * w).collect());
         let specular_grids =
             std::array::from_fn(|k| CubeGrid::new(if k < 2 { resolution.sharp } else { resolution.rough }));
-        // A lobe narrower than a texel would fall between texel centres: widen it to about one texel.
+        // A lobe narrower than a texel could miss all texel centres, so it is widened to about one texel.
         let texel_angle = std::f64::consts::PI / height as f64;
         let specular: [SparseRows; SPECULAR_LEVELS.len()] = std::array::from_fn(|k| {
             let alpha = f64::from(SPECULAR_LEVELS[k]).powi(2).max(0.25 * texel_angle);
@@ -160,25 +160,25 @@ impl EnvOperators {
         Self { maps: Arc::new(maps), split: LightSplit::default() }
     }
 
-    /// The same maps for environments of which `split` takes lights out; it must fit their texels. An empty one gives
-    /// operators of the whole environment.
+    /// The same operators for environments split by `split`, which must fit their texels. An empty split gives operators of
+    /// the whole environment.
     #[must_use]
     pub fn with_lights(&self, split: &LightSplit) -> Self {
         Self { maps: self.maps.clone(), split: split.clone() }
     }
 
-    /// What is taken out.
+    /// The split.
     pub fn split(&self) -> &LightSplit {
         &self.split
     }
 
-    /// Columns and rows of the environments these operators take.
+    /// Columns and rows of the environments that the operators accept.
     pub fn size(&self) -> (usize, usize) {
         (self.maps.width, self.maps.height)
     }
 
-    /// Sparse rows of the whole operator: those of the normals' cosine first, then the prefilter levels' one after another,
-    /// then [`MAX_LIGHTS`] of the lights' irradiance, empty beyond the last light.
+    /// Sparse rows of the whole operator: first those of the normals' cosine, then those of each prefilter level, then
+    /// [`MAX_LIGHTS`] rows of the lights' irradiance, empty beyond the last light.
     pub fn rows(&self) -> CompressedRows {
         let maps = &*self.maps;
         let levels = maps.specular.iter().flat_map(|rows| (0..rows.len()).map(|k| rows.row(k)));
@@ -187,14 +187,14 @@ impl EnvOperators {
         CompressedRows::new(rest.chain((0..MAX_LIGHTS).map(|k| self.light_row(k))))
     }
 
-    /// `m_kt dw_t` of the texels that light `k` has a share in.
+    /// `m_kt dw_t` of the texels in which light `k` has a share.
     fn light_row(&self, k: usize) -> Vec<(u32, f32)> {
         let shares = self.split.shares.iter().zip(&self.maps.solid_angles).enumerate();
         shares.filter(|(_, (m, _))| m[k] > 0.0).map(|(t, (m, w))| (t as u32, m[k] * w)).collect()
     }
 
-    /// The transpose, two rows a texel: its normals, then its nodes of all prefilter levels counted through and the lights
-    /// behind them.
+    /// The transpose, two rows per texel: first its normals, then its nodes of all prefilter levels, numbered consecutively,
+    /// followed by the lights.
     pub fn transposed_rows(&self) -> CompressedRows {
         let maps = &*self.maps;
         let mut first_node = [0u32; SPECULAR_LEVELS.len()];
@@ -221,7 +221,7 @@ impl EnvOperators {
         &self.maps.harmonics
     }
 
-    /// Empty tables of the shape [`Self::apply`] gives.
+    /// Zeroed tables of the shape that [`Self::apply`] returns.
     pub fn shape(&self) -> LightTables {
         let maps = &*self.maps;
         let coefficients = padded(sh_count(maps.sh_degree));
@@ -240,12 +240,12 @@ impl EnvOperators {
         }
     }
 
-    /// Degree of the visibility field the diffuse table serves.
+    /// Degree of the visibility field that the diffuse table serves.
     pub fn sh_degree(&self) -> usize {
         self.maps.sh_degree
     }
 
-    /// The tables of an environment given as `width * height` radiances: `M L` of what is not a light's, and the lights.
+    /// The tables of an environment given as `width * height` radiances: `M L` of the rest, and the lights.
     pub fn apply(&self, radiance: &[[f32; 3]]) -> LightTables {
         if self.split.is_empty() {
             return self.maps.apply(radiance);
@@ -289,7 +289,7 @@ impl OperatorMatrices {
     /// `M L`.
     fn apply(&self, radiance: &[[f32; 3]]) -> LightTables {
         let n = padded(sh_count(self.sh_degree));
-        // F[t] = Y_j(t) L_c(t), the light that a coefficient lets through at texel t.
+        // F[t] = Y_j(t) L_c(t), the light that coefficient j passes at texel t.
         let products: Vec<f32> = radiance
             .par_iter()
             .zip(self.harmonics.par_chunks(n))
@@ -369,8 +369,8 @@ fn lobe_weights(r: DVec3, alpha: f64, texels: &[(DVec3, f64)]) -> Vec<f64> {
 }
 
 impl SparseRows {
-    /// Rows from a function giving all weights of a node; entries too small to matter are dropped and the
-    /// rest rescaled, so a row's sum is kept.
+    /// Rows from a function that returns all weights of a node. Negligible entries are dropped and the rest is rescaled, so
+    /// that the row keeps its sum.
     fn new(grid: &CubeGrid, weights: impl Fn(DVec3) -> Vec<f64> + Sync) -> Self {
         let rows: Vec<Vec<(u32, f32)>> = grid
             .directions()

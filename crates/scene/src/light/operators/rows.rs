@@ -6,10 +6,10 @@ use multiversion::multiversion;
 pub(super) const LANES: usize = 16;
 
 /// `out += sum over entries (k, weight) of weight * row k`, where `rows` are as wide as `out`. Each float is summed in the order of the
-/// entries, whatever the CPU.
+/// entries on every CPU.
 #[multiversion(targets("x86_64+avx512f+avx512vl", "x86_64+avx2", "aarch64+neon"))]
 pub(super) fn add_rows(out: &mut [f32], entries: &[(u32, f32)], rows: &[f32]) {
-    // Sums of known width stay in registers: those of three colours of 16, 32, 48 or 64 coefficients.
+    // Sums of a width known at compile time stay in registers: three colours of 16, 32, 48 or 64 coefficients.
     match out.len() {
         48 => add_blocks::<3>(out, entries, rows),
         96 => add_blocks::<6>(out, entries, rows),
@@ -43,7 +43,8 @@ fn add_blocks<const BLOCKS: usize>(out: &mut [f32], entries: &[(u32, f32)], rows
 /// Colours of sixteen rows, `[rgb][lane]`.
 pub(super) type Slice = [[f32; LANES]; 3];
 
-/// Sparse rows in slices of sixteen, each with every column that one of them has: colours are summed a lane a row.
+/// Sparse rows in slices of sixteen. A slice has every column that one of its rows has. Each lane sums the colours of one
+/// row.
 #[derive(Debug, Clone)]
 pub(super) struct SlicedRows {
     /// First entry of each slice, and the end.
@@ -81,7 +82,7 @@ impl SlicedRows {
         self.start.len() - 1
     }
 
-    /// Adds the sums of a slice's rows over `colours`, a colour a column, in the order of the columns.
+    /// Adds the sums of a slice's rows over `colours`, one colour per column, in the order of the columns.
     pub(super) fn add(&self, slice: usize, colours: &[[f32; 3]], out: &mut Slice) {
         let entries = self.start[slice] as usize..self.start[slice + 1] as usize;
         add_slice(&self.columns[entries.clone()], &self.weights[entries], colours, out);

@@ -1,4 +1,4 @@
-//! What the operators promise: units, power, and that the transposed is the transpose.
+//! Properties of the operators: units, power, and that `apply_transposed` is the transpose of `apply`.
 
 use super::*;
 
@@ -82,7 +82,7 @@ fn operators_with_lights_conserve_power_and_have_an_adjoint() {
     let split = LightSplit { lights: vec![light; 3], shares: shares.clone() };
     let operators = whole.with_lights(&split);
     let tables = operators.apply(&radiance);
-    // A constant weight of the tables reads the whole power: nothing is lost, and nothing counted twice.
+    // A constant weight of the tables sums the whole power: no power is lost or counted twice.
     let taken = whole.apply(
         &radiance.iter().zip(&shares).map(|(l, m)| l.map(|v| v * m.iter().sum::<f32>())).collect::<Vec<_>>(),
     );

@@ -1,4 +1,4 @@
-//! Textures of a surface of quads: every quad has a square of texels of its own. Their sides are powers of two.
+//! Textures of a quad mesh: every quad has its own square of texels. The sides of the textures are powers of two.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -11,15 +11,15 @@ use relume_capture::formats::image_file::encode_png;
 use relume_scene::Output;
 use relume_scene::srgb;
 
-/// Texels along the side of a quad's square. Corners of the quad lie at the centres of its outermost texels, so that a reader's
-/// interpolation stays inside.
+/// Texels along the side of a quad's square. The quad's corners lie at the centres of the outermost texels, so that
+/// interpolation stays inside the square.
 const SIDE: usize = 4;
-/// Most texels along a texture.
+/// Greatest side of a texture, texels.
 const MAX_TEXTURE_SIDE: usize = 8192;
-/// Cosine between surface and view below which a view does not count.
+/// Cosine between surface normal and view direction below which a view is ignored.
 const MIN_COSINE: f32 = 0.2;
 
-/// What was seen of a texel, as weighted sums.
+/// Weighted sums over the views of a texel.
 #[derive(Debug, Clone, Copy, Default)]
 struct Texel {
     place: Vec3,
@@ -31,14 +31,14 @@ struct Texel {
 }
 
 pub(super) struct Atlas {
-    /// Quad by quad, `SIDE * SIDE` each.
+    /// Texels quad by quad, `SIDE * SIDE` each.
     texels: Vec<Texel>,
-    /// Squares along a row of the texture.
+    /// Number of squares in a row of the texture.
     columns: usize,
 }
 
 impl Atlas {
-    /// None when a texture would be too large.
+    /// `None` if the texture would be too large.
     pub(super) fn new(surface: &QuadMesh) -> Option<Self> {
         let columns = ((surface.quads.len() as f64).sqrt().ceil() as usize).next_power_of_two();
         let texels = surface.quads.iter().flat_map(|quad| {
@@ -52,7 +52,7 @@ impl Atlas {
         (columns * SIDE <= MAX_TEXTURE_SIDE).then(|| Self { texels: texels.collect(), columns })
     }
 
-    /// Takes in what a view shows of points that it sees, within `tolerance` of what is nearest in it.
+    /// Adds the materials that a view shows at visible texels: those within `tolerance` of the view's depth.
     pub(super) fn add(&mut self, view: &DepthView, tolerance: f32) {
         let plane = |output| view.frame.planes.get(&output).map_or(&[][..], Vec::as_slice);
         let (albedo, normals) =
@@ -73,7 +73,7 @@ impl Atlas {
         });
     }
 
-    /// The mesh with its textures; `to_capture` brings points there.
+    /// The mesh with its textures; `to_capture` transforms points to capture coordinates.
     pub(super) fn into_mesh(
         self,
         surface: &QuadMesh,
@@ -113,7 +113,7 @@ impl Atlas {
     }
 }
 
-/// Mean material of texels that were seen.
+/// Mean material of texels; `None` if no view shows them.
 fn mean(texels: &[Texel]) -> Option<[f32; 5]> {
     let weight: f32 = texels.iter().map(|t| t.weight).sum();
     (weight > 0.0)

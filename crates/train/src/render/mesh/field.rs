@@ -7,13 +7,13 @@ use crate::render::mesh::views::DepthView;
 
 /// Half of the side of the grid: the unit ball and a margin.
 const HALF: f32 = 1.05;
-/// Cells within which a distance counts.
+/// Truncation distance, cells.
 const TRUNCATION: f32 = 4.0;
 
 /// Signed distances at the nodes of a grid, positive outside.
 pub(super) struct DistanceField {
     cells: usize,
-    /// Sum of the truncated distances, in truncations, and their number; x fastest, then y.
+    /// Sums of the truncated distances, in truncation distances, and their numbers; x fastest, then y.
     nodes: Vec<(f32, f32)>,
 }
 
@@ -32,19 +32,19 @@ impl DistanceField {
         2.0 * HALF / self.cells as f32
     }
 
-    /// Place of a node, or of a point between nodes, world units.
+    /// Position of a node, or of a point between nodes, world units.
     pub(super) fn place(&self, node: Vec3) -> Vec3 {
         node * self.cell() - HALF
     }
 
-    /// Mean distance at a node in truncations; none where no view told.
+    /// Mean distance at a node in truncation distances; `None` without a view.
     pub(super) fn at(&self, [x, y, z]: [usize; 3]) -> Option<f32> {
         let n = self.cells + 1;
         let (sum, count) = self.nodes[(z * n + y) * n + x];
         (count > 0.0).then(|| sum / count)
     }
 
-    /// Takes in what a view tells: nodes in front of what it sees are outside, those a little behind inside.
+    /// Adds a view: nodes in front of its surface are outside, nodes slightly behind it inside.
     pub(super) fn add(&mut self, view: &DepthView) {
         let (n, truncation) = (self.cells + 1, TRUNCATION * self.cell());
         let (cell, half) = (self.cell(), Vec3::splat(HALF));

@@ -1,5 +1,5 @@
-//! The surface of a model as triangles with textures, for programs that know no splats: depths of many views are fused into
-//! one signed distance field, its zero is the surface, and materials are looked up in the same views.
+//! Extracts the surface of a model as textured triangles, for programs without splats. Depths of many views are fused
+//! into a signed distance field; the surface is its zero level set, and materials come from the same views.
 
 mod atlas;
 mod field;
@@ -16,14 +16,14 @@ use crate::render::renderer::Renderer;
 use relume_capture::formats::gltf::TexturedMesh;
 use relume_scene::Output;
 
-/// How finely a surface is made.
+/// Resolution of a mesh extraction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MeshOptions {
     /// Cells of the field along the unit ball of the model's world, 16 to 512.
     pub cells: usize,
-    /// Views that the surface is looked at from.
+    /// Number of views.
     pub views: usize,
-    /// Side of each, pixels.
+    /// Side of each view, pixels.
     pub size: u32,
 }
 
@@ -34,15 +34,15 @@ impl Default for MeshOptions {
 }
 
 impl Renderer {
-    /// The surface in the unit ball of the model's world, in capture coordinates. What no view shows has none: views are from
-    /// above the horizon and a little below, so what a thing stands on stays open.
+    /// The surface in the unit ball of the model's world, in capture coordinates. Parts that no view shows have no
+    /// surface: views are from above the horizon or slightly below, so the underside of an object stays open.
     ///
     /// # Errors
-    /// When nothing is there, the options are out of range, or the device failed.
+    /// If the model has no surface, the options are out of range, or the device failed.
     pub fn mesh(&self, options: MeshOptions) -> Result<TexturedMesh, RenderError> {
         let refused = |field, reason: &str| RenderError::Refused { field, reason: reason.to_owned() };
         if !(16..=512).contains(&options.cells) || options.views == 0 {
-            return Err(refused("cells", "must be 16 to 512, with a view or more"));
+            return Err(refused("cells", "must be 16 to 512, with at least one view"));
         }
         let cameras = views::around(self.model(), options.views, options.size)?;
         let light = self.prepare_light(self.model().recovered_light())?;
@@ -54,8 +54,7 @@ impl Renderer {
         if surface.quads.is_empty() {
             return Err(refused("model", "shows no surface"));
         }
-        let mut atlas =
-            Atlas::new(&surface).ok_or_else(|| refused("cells", "are too many for one texture"))?;
+        let mut atlas = Atlas::new(&surface).ok_or_else(|| refused("cells", "are too many for a texture"))?;
         let outputs = [Output::Depth, Output::Normal, Output::Albedo, Output::Metallic, Output::Roughness];
         for camera in &cameras {
             atlas.add(&DepthView::new(self, &light, camera, &outputs)?, 2.0 * field.cell());

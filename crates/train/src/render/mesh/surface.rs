@@ -1,5 +1,5 @@
-//! The zero of a distance field as quads (naive surface nets, Gibson 1998): a vertex in each cell that the surface crosses, a
-//! quad around each edge of the grid that it crosses.
+//! The zero level set of a distance field as quads (naive surface nets, Gibson 1998): a vertex in each cell that the
+//! surface crosses, and a quad around each grid edge that it crosses.
 
 use std::collections::HashMap;
 
@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use crate::render::mesh::field::DistanceField;
 
-/// Pieces with a smaller share of all quads are left out: what floats.
+/// Least share of all quads of a connected piece; smaller pieces are floaters and left out.
 const MIN_PIECE_SHARE: f64 = 0.01;
 
 /// Quads with shared vertices, world units.
@@ -17,7 +17,7 @@ pub(super) struct QuadMesh {
     pub(super) quads: Vec<[u32; 4]>,
 }
 
-/// The surface of `field` where all of a cell is known.
+/// The surface of `field`, in cells whose corners are all known.
 pub(super) fn of(field: &DistanceField) -> QuadMesh {
     let mut cells = HashMap::new();
     let mut out = QuadMesh { vertices: Vec::new(), quads: Vec::new() };
@@ -38,7 +38,7 @@ pub(super) fn of(field: &DistanceField) -> QuadMesh {
     out
 }
 
-/// Mean of the places where the surface crosses the edges of a cell, in cells.
+/// Mean of the points at which the surface crosses the edges of a cell, in cells.
 fn crossing(field: &DistanceField, cell: [usize; 3]) -> Option<Vec3> {
     let corner = |k: usize| [cell[0] + (k & 1), cell[1] + (k >> 1 & 1), cell[2] + (k >> 2)];
     let mut values = [0.0f32; 8];
@@ -79,11 +79,11 @@ fn quad(
         cells.get(&cell).copied()
     };
     let around = [beside(1, 1)?, beside(0, 1)?, beside(0, 0)?, beside(1, 0)?];
-    // Outside lies along the axis where the distance grows.
+    // The outside is in the direction of increasing distance.
     Some(if here < 0.0 { around } else { [around[3], around[2], around[1], around[0]] })
 }
 
-/// The quads of the pieces that are not small.
+/// The quads of all pieces that are not too small.
 fn large_pieces(surface: &QuadMesh) -> Vec<[u32; 4]> {
     let mut parent: Vec<u32> = (0..surface.vertices.len() as u32).collect();
     for quad in &surface.quads {
@@ -102,7 +102,7 @@ fn large_pieces(surface: &QuadMesh) -> Vec<[u32; 4]> {
     surface.quads.iter().filter(is_large).copied().collect()
 }
 
-/// The vertex that stands for the piece of `v`.
+/// The representative vertex of the piece of `v`.
 fn root(parent: &mut [u32], mut v: u32) -> u32 {
     while parent[v as usize] != v {
         parent[v as usize] = parent[parent[v as usize] as usize];

@@ -1,4 +1,4 @@
-//! What a surface looks like from around it.
+//! Views of the surface from around the model.
 
 use glam::{Mat3, Vec3};
 
@@ -8,16 +8,17 @@ use relume_scene::Output;
 use relume_scene::{Camera, Model};
 use relume_spec::rendering::Tier;
 
-/// Lowest view, as the sine of its elevation.
+/// Sine of the elevation of the lowest view.
 const MIN_VIEW_HEIGHT: f64 = -0.17;
-/// Coverage from which a pixel shows a surface.
+/// Least coverage of a pixel that shows a surface.
 const MIN_COVERAGE: f32 = 0.5;
-/// Depths of neighbouring pixels that differ by more belong to two surfaces, between which nothing is known; world units.
+/// Depth difference of neighbouring pixels above which they belong to two surfaces and the depth there is unknown;
+/// world units.
 const MAX_PIXEL_DEPTH_STEP: f32 = 0.05;
 /// Golden angle, degrees.
 const GOLDEN_ANGLE: f64 = 137.507_764_05;
 
-/// `count` cameras evenly around the model, in capture coordinates.
+/// `count` cameras, evenly distributed around the model, in capture coordinates.
 pub(super) fn around(model: &Model, count: usize, size: u32) -> Result<Vec<Camera>, RenderError> {
     let one = |i: usize| {
         let height = MIN_VIEW_HEIGHT + (1.0 - MIN_VIEW_HEIGHT) * (i as f64 + 0.5) / count as f64;
@@ -32,7 +33,7 @@ pub(super) fn around(model: &Model, count: usize, size: u32) -> Result<Vec<Camer
     (0..count).map(one).collect()
 }
 
-/// A frame with where its pixels lie, in the normalised world.
+/// A frame with its camera and depth, in the normalised world.
 pub(super) struct DepthView {
     pub(super) frame: Frame,
     rotation: Mat3,
@@ -40,18 +41,18 @@ pub(super) struct DepthView {
     centre: Vec3,
     focal: [f32; 2],
     principal: [f32; 2],
-    /// Depth along the optical axis, world units: infinite where nothing is, NaN where it is not known.
+    /// Depth along the optical axis, world units: infinite without a surface, NaN if unknown.
     depth: Vec<f32>,
 }
 
-/// A point in a view.
+/// A point projected to a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct ViewSample {
     /// The pixel's index.
     pub(super) pixel: usize,
     /// Distance of the point along the optical axis.
     pub(super) z: f32,
-    /// Distance of what the pixel shows.
+    /// Distance of the surface in the pixel.
     pub(super) depth: f32,
 }
 
@@ -77,7 +78,7 @@ impl DepthView {
         })
     }
 
-    /// Where `point` is seen, if it lies in the picture and what is there is known.
+    /// The projection of `point`; `None` outside the image or where the depth is unknown.
     pub(super) fn find(&self, point: Vec3) -> Option<ViewSample> {
         let p = self.rotation * point + self.translation;
         if p.z <= 1e-3 {
@@ -100,7 +101,7 @@ impl DepthView {
     }
 }
 
-/// Depths of a frame as [`DepthView`] has them.
+/// Depths of a frame, as stored in [`DepthView`].
 fn depths(frame: &Frame, scale: f32) -> Vec<f32> {
     let (width, height) = (frame.width as usize, frame.height as usize);
     let plane = |output| frame.planes.get(&output).map_or(&[][..], Vec::as_slice);

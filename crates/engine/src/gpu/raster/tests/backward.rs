@@ -16,13 +16,13 @@ fn random_gradient(view: &RasterCamera, count: usize, seed: u64) -> Vec<Vec<f32>
     (0..view.width * view.height).map(&mut row).collect()
 }
 
-/// `[group][pixel]`, as the device wants it.
+/// `[group][pixel]`, the layout of the device.
 pub(super) fn planes(rows: &[Vec<f32>]) -> Vec<[f32; 4]> {
     let groups = rows[0].len() / 4;
     (0..groups).flat_map(|g| rows.iter().map(move |r| std::array::from_fn(|c| r[4 * g + c]))).collect()
 }
 
-/// The device's splat gradients as rows of 7 + stored by Gaussian.
+/// The device's splat gradients as rows of 7 + stored floats per Gaussian.
 fn device_rows(gpu: &Gpu, frame: Blended<'_>, by: &[Vec<f32>], n: usize) -> Vec<Vec<f32>> {
     let stored = by[0].len();
     let gradient = gpu.upload("by", &planes(by)).unwrap();
@@ -38,7 +38,7 @@ fn device_rows(gpu: &Gpu, frame: Blended<'_>, by: &[Vec<f32>], n: usize) -> Vec<
     flat.chunks_exact(width).map(row).collect()
 }
 
-/// Attribute rows by Gaussian from the CPU, the first `stored` channels of each.
+/// Attribute rows per Gaussian from the CPU, the first `stored` channels of each.
 pub(super) fn attributes_by_gaussian(pass: &Pass, n: usize, stored: usize) -> Vec<f32> {
     let carried = pass.channels.stored();
     let mut out = vec![0.0; n * stored];
@@ -48,12 +48,12 @@ pub(super) fn attributes_by_gaussian(pass: &Pass, n: usize, stored: usize) -> Ve
     out
 }
 
-/// Largest error of each column in units of its largest entry.
+/// Largest error over the columns, each relative to its largest entry.
 fn column_error(got: &[Vec<f32>], expected: &[Vec<f64>]) -> f64 {
     worst((0..got[0].len()).map(|c| relative_error(&column(got, c), &column(expected, c))))
 }
 
-/// Runs both ways back; gives the largest error against f64.
+/// Runs the backward pass of both engines; returns the largest error against f64.
 pub(super) fn check(raster: &mut Raster, scene: &RasterScene, channels: Channels, count: usize) -> f64 {
     let n = scene.gaussians.len();
     let gpu = raster.gpu.clone();
@@ -66,7 +66,7 @@ pub(super) fn check(raster: &mut Raster, scene: &RasterScene, channels: Channels
     column_error(&got, &exact::backward(&scene.view, &splats, &attributes, &by, n))
 }
 
-/// The gradient laid out for the CPU's pass.
+/// The gradient in the layout of the CPU's pass.
 pub(super) fn for_cpu(pass: &Pass, view: &RasterCamera, by: &[Vec<f32>]) -> Vec<f32> {
     let stored = by[0].len();
     let mut out = vec![0.0f32; pass.tiles.len() * 256 * stored];
@@ -186,7 +186,7 @@ fn gradients_without_float_atomics_match_f64() {
     assert!(error < 2e-5, "{error:e}");
 }
 
-/// Largest error of labels and weights, in units of the largest weight.
+/// Largest error of labels and weights, relative to the largest weight.
 pub(super) fn label_error(raster: &mut Raster, scene: &RasterScene) -> f64 {
     let gpu = raster.gpu.clone();
     let mut projected = raster.prepare(&CameraUniform::new(&scene.view), &scene.on_device(&gpu)).unwrap();

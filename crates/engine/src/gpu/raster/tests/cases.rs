@@ -1,10 +1,10 @@
-//! Scenes at the edges of what can be drawn.
+//! Extreme scenes.
 
 use super::backward::{attributes_by_gaussian, check, label_error};
 use super::*;
 use relume_compare::largest_difference;
 
-/// Largest error of the G-buffer against f64 in units of each channel's largest value: device, CPU.
+/// Largest error of the G-buffer against f64, relative to each channel's largest value: device, CPU.
 fn forward_errors(raster: &mut Raster, scene: &RasterScene, channels: Channels) -> (f64, f64) {
     let gpu = raster.gpu.clone();
     let frame = scene.gpu(raster, channels, EarlyStop::Never);
@@ -103,7 +103,7 @@ fn no_visible_gaussians_give_an_empty_image() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for n in [0, 5] {
-        // Behind the camera, if any.
+        // All Gaussians lie behind the camera.
         let scene = RasterScene::random(36, n, (20, 20), 1).fill(Field::Mean, &[0.4, -20.0, 0.9]);
         let frame = scene.gpu(&mut raster, Channels::Colour, EarlyStop::WhenSaturated);
         assert_eq!(counts(&frame), RasterCounts::default());
@@ -138,7 +138,7 @@ fn gaussians_with_nan_parameters_are_invisible() {
     let visible = counts(&frame).visible;
     assert_eq!(visible, all - (3 + 3 + 4 + 1) - 3);
     assert!(gbuffer(&gpu, &frame).iter().flatten().all(|v| v.is_finite()));
-    // A certain opacity is a number.
+    // An opacity logit of infinity is an opacity of 1.
     scene.gaussians.row_mut(Field::OpacityLogit, 23)[0] = f32::INFINITY;
     let frame = scene.gpu(&mut raster, Channels::Colour, EarlyStop::WhenSaturated);
     assert_eq!(counts(&frame).visible, visible);
@@ -203,7 +203,7 @@ fn projected(raster: &mut Raster, scene: &RasterScene) -> (Buffer<SplatRecord>, 
     found
 }
 
-/// What `tile_emit` writes when the instances of every rank were miscounted by `off`: tiles and Gaussians.
+/// The output of `tile_emit`, tiles and Gaussians, when the instances of every rank are miscounted by `off`.
 fn emitted(
     raster: &mut Raster,
     scene: &RasterScene,

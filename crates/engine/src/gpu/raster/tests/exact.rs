@@ -1,4 +1,4 @@
-//! Projection and blending in f64 without tiles or tricks: what both engines approximate where f32 runs out of digits.
+//! Projection and blending in f64, without tiles: the reference where f32 does not have enough digits.
 
 use crate::RasterCamera;
 use relume_scene::{Field, Gaussians};
@@ -57,7 +57,7 @@ fn project_one(view: &RasterCamera, g: &Gaussians, i: usize) -> Option<ExactSpla
     })
 }
 
-/// What a splat does in one pixel.
+/// Values of a splat in one pixel.
 struct Entry {
     index: usize,
     offset: [f64; 2],
@@ -96,7 +96,7 @@ pub fn blend(view: &RasterCamera, splats: &[ExactSplat], attributes: &[f32], sto
         .collect()
 }
 
-/// Rows of 7 + `stored` by Gaussian: mean, conic, opacity, absgrad, channels. `by` is `[pixel][stored]`.
+/// Rows of 7 + `stored` floats per Gaussian: mean, conic, opacity, absgrad, channels. `by` is `[pixel][stored]`.
 pub fn backward(
     view: &RasterCamera,
     splats: &[ExactSplat],

@@ -1,4 +1,4 @@
-//! The rasteriser against the CPU engine, and against f64 where the CPU's f32 is no better.
+//! The rasteriser against the CPU engine, and against f64 where the CPU's f32 is not more accurate.
 
 mod backward;
 mod cases;
@@ -21,7 +21,7 @@ use relume_layout::channel::Channels;
 use relume_layout::constants::{EarlyStop, TRANSMITTANCE_STOP};
 use relume_scene::{Camera, Field, Gaussians, IndirectForm, MAX_LIGHTS, NormalForm, ShadingOptions};
 
-/// A model, a camera and all that both engines need.
+/// A model, a camera and the other inputs of both engines.
 pub(super) struct RasterScene {
     pub(super) gaussians: Gaussians,
     pub(super) prototypes: Vec<[f32; 3]>,
@@ -33,7 +33,7 @@ pub(super) struct RasterScene {
 }
 
 impl RasterScene {
-    /// `n` random Gaussians in front of a camera of `size` pixels, with visibility order `sh_degree`.
+    /// `n` random Gaussians in front of a camera of `size` pixels, with visibility of degree `sh_degree`.
     pub(super) fn random(seed: u64, n: usize, size: (u32, u32), sh_degree: usize) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut uniform = move |lo: f32, hi: f32| lo + (hi - lo) * rng.random::<f32>();
@@ -111,7 +111,7 @@ impl RasterScene {
         }
     }
 
-    /// Projects, lists, computes attributes and blends on the device.
+    /// Projects, lists tiles, computes attributes and blends on the device.
     pub(super) fn gpu<'r>(
         &self,
         raster: &'r mut Raster,
@@ -129,7 +129,7 @@ impl RasterScene {
     }
 }
 
-/// What a frame shows.
+/// Counts of a frame.
 pub(super) fn counts(frame: &Blended<'_>) -> RasterCounts {
     frame.attributed.projected.counts()
 }
@@ -146,10 +146,11 @@ fn column<T: Copy>(rows: &[Vec<T>], c: usize) -> Vec<T> {
     rows.iter().map(|row| row[c]).collect()
 }
 
-/// Largest difference in units of the channel's largest value, and how many pixels differ by more than `tolerance`.
+/// Largest difference relative to the channel's largest value, and the number of pixels that differ by more than
+/// `tolerance`.
 ///
-/// Rounding may put alpha on the other side of its cut at 1/255: such a pixel is counted apart, and no pixel may
-/// differ by more than two such cuts.
+/// Rounding may move alpha across its threshold of 1/255: such pixels are counted separately, and no pixel may differ by
+/// more than two such thresholds.
 fn compare(scene: &RasterScene, pass: &Pass, got: &[Vec<f32>], tolerance: f64) -> (f64, usize) {
     let (width, height) = (scene.view.width, scene.view.height);
     let stored = pass.channels.stored();

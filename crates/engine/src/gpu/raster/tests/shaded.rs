@@ -1,4 +1,4 @@
-//! The light of each Gaussian, against the CPU engine.
+//! The light of each Gaussian against the CPU engine.
 
 use super::*;
 use crate::cpu::{ROW_HEADER, SurfaceShader};
@@ -11,18 +11,18 @@ use relume_layout::constants::EarlyStop;
 use relume_scene::light::{LightTables, TableLight};
 use relume_scene::{DiffuseForm, IndirectForm, VisibilityForm, sh_count};
 
-/// What both directions give, by Gaussian that is drawn.
+/// Results of the forward and backward pass, per drawn Gaussian.
 struct Found {
-    /// Light that is blended and, with all channels, its specular part.
+    /// Light to blend and, with all channels, its specular part.
     radiance: Vec<f32>,
-    /// Gradients by the splat's place and by the channels.
+    /// Gradients by the splat's position and by the channels.
     rows: Vec<f32>,
     /// Gradient by the tables.
     by_tables: Vec<f32>,
 }
 
 impl Found {
-    /// Errors of each, relative to the largest expected.
+    /// Error of each, relative to the largest expected value.
     fn errors(&self, expected: &Found) -> [f64; 3] {
         [
             relative_error(&self.radiance, &expected.radiance),
@@ -36,20 +36,20 @@ struct ShadedCase {
     scene: RasterScene,
     sh_degree: usize,
     tables: LightTables,
-    /// Channels of both ways.
+    /// Channels of both passes.
     channels: Channels,
 }
 
 impl ShadedCase {
     fn new(seed: u64, sh_degree: usize, options: ShadingOptions, all: bool) -> Self {
-        // More than one workgroup, the last one not full.
+        // More than one workgroup; the last one is not full.
         let scene = RasterScene::random(seed, 300, (37, 21), sh_degree).with_options(options);
         let tables = random_tables(&mut Noise::new(seed), sh_degree);
         let channels = if all { Channels::Full(sh_count(sh_degree)) } else { Channels::Material };
         Self { scene, sh_degree, tables, channels }
     }
 
-    /// A gradient of noise by every pixel's channels, `[pixel][stored]`.
+    /// A random gradient by every pixel's channels, `[pixel][stored]`.
     fn by_gbuffer(&self) -> Vec<Vec<f32>> {
         let mut noise = Noise::new(17);
         let channels = self.channels;
@@ -96,7 +96,7 @@ impl ShadedCase {
         }
     }
 
-    /// Gaussians that reach a tile, and what the device finds for them.
+    /// Gaussians that reach a tile, and the device's results for them.
     fn on_gpu(&self, raster: &mut Raster) -> (Vec<usize>, Found) {
         let (gpu, n, groups) = (raster.gpu.clone(), self.scene.gaussians.len(), groups(self.channels));
         let floats = self.tables.flat().len();
@@ -130,7 +130,7 @@ impl ShadedCase {
         (drawn, found)
     }
 
-    /// What a Gaussian's row of attributes has of light.
+    /// The light in a Gaussian's attribute row.
     fn light_of(&self, row: &[f32]) -> Vec<f32> {
         match self.channels {
             Channels::Full(_) => [&row[OutgoingRadiance::TOTAL], &row[OutgoingRadiance::SPECULAR]].concat(),
@@ -177,7 +177,7 @@ fn shading_at_gaussians_matches_the_cpu_for_every_form() {
     }
 }
 
-/// Three lights beside the tables, one from behind most of what is seen.
+/// Three dominant lights; one lies behind most of the surfaces seen.
 fn with_lights(mut case: ShadedCase) -> ShadedCase {
     let light = |direction: [f32; 3], radius, irradiance| {
         let direction = glam::Vec3::from(direction).normalize().to_array();
@@ -209,7 +209,7 @@ fn shading_with_separate_lights_matches_the_cpu() {
             assert_small(case.errors(&mut raster), &format!("lights {all} {indirect:?}"));
         }
     }
-    // All of it arrives where nothing was measured.
+    // Without a measurement the lights arrive unshadowed.
     let mut open = with_lights(plain());
     open.scene.arriving.clear();
     assert_small(open.errors(&mut raster), "nothing measured");
@@ -253,7 +253,7 @@ fn shading_at_gaussians_matches_the_cpu_for_every_sh_degree() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for sh_degree in [0, 1, 3, 4, 5, 6] {
-        // The largest kernels take a software device seconds to compile: one of the two ways back each.
+        // A software device compiles the largest kernels in seconds, so each degree above 4 tests one of the two backward kernels.
         for all in [false, true].into_iter().filter(|all| sh_degree < 5 || *all == (sh_degree == 6)) {
             let case = ShadedCase::new(40 + sh_degree as u64, sh_degree, ShadingOptions::default(), all);
             assert_small(case.errors(&mut raster), &format!("order {sh_degree} {all}"));

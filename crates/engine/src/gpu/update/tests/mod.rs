@@ -1,4 +1,4 @@
-//! The parameter side against the CPU engine, and against f64 where the CPU engine has no part in it.
+//! The parameter update against the CPU engine, and against f64 where the CPU engine has no counterpart.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -19,7 +19,7 @@ mod pipeline;
 mod steps;
 mod terms;
 
-/// Shape of a random case.
+/// Settings of a random case.
 #[derive(Clone, Copy, Debug)]
 struct Shape {
     n: usize,
@@ -43,7 +43,7 @@ impl Default for Shape {
     }
 }
 
-/// A random model, a view of it, and the gradients that its picture leaves.
+/// A random model, a view of it, and the gradients from its image.
 struct UpdateCase {
     model: Model,
     basis: [[f32; 3]; 16],
@@ -166,7 +166,7 @@ impl UpdateCase {
     }
 }
 
-/// Splats and gradient rows by Gaussian; rows of those that are not visible hold garbage.
+/// Splats and gradient rows per Gaussian; rows of invisible Gaussians hold garbage.
 fn device_rows(
     pass: &Pass,
     n: usize,
@@ -298,9 +298,9 @@ fn range(g: &Gaussians, field: Field) -> std::ops::Range<usize> {
     start..start + g.field(field).len()
 }
 
-/// Rows of gradients in the planar layout.
+/// Gradient rows converted to the planar layout.
 fn planar_rows(g: &Gaussians, by: &Gradients) -> Vec<f32> {
-    // A field that was not differentiated has no floats in a row of the CPU engine, and zeros here.
+    // A field that was not differentiated has no floats in a row of the CPU engine; here it has zeros.
     let padded = |f: Field, i: usize| {
         by.get(f, i).iter().copied().chain(std::iter::repeat(0.0)).take(g.width(f)).collect::<Vec<f32>>()
     };

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Worst relative error over the fields, and where.
+/// Worst relative error over the fields, and its field.
 fn compare(case: &UpdateCase, got: &[f32]) -> (f64, &'static str) {
     let g = &case.model.gaussians;
     let expected = planar_rows(g, &case.expected);
@@ -128,14 +128,14 @@ fn invisible_non_finite_gaussians_do_not_affect_gradients() {
         g.row_mut(Field::Mean, 5)[1] = f32::NAN;
         g.row_mut(Field::Quaternion, 6)[0] = f32::NAN;
         g.row_mut(Field::LogScale, 7)[2] = f32::INFINITY;
-        // Behind the camera, with nothing finite.
+        // Behind the camera, with no finite parameter.
         for field in [Field::ProtoLogits, Field::Radiance, Field::Residual, Field::Indirect, Field::Normal] {
             g.row_mut(field, 2).fill(f32::NAN);
         }
     };
     let options = ShadingOptions { indirect: IndirectForm::Learned, ..Default::default() };
     let case = UpdateCase::new(&Shape { options, ..Default::default() }, 11, spoil);
-    // A quaternion that is not finite is the identity.
+    // A quaternion that is not finite counts as the identity.
     assert!([2, 5, 7].iter().all(|i| !case.expected.visible[*i]));
     let device = OnDevice::new(&gpu, &case);
     let (got, by_globals) = device.gradients(&ParameterWeights::default());

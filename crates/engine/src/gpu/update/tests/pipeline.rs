@@ -1,4 +1,4 @@
-//! Behind the device's own rasteriser: splats, gradient rows and labels as the kernels before leave them.
+//! The update after the device's own rasteriser: splats, gradient rows and labels come from its kernels.
 
 use super::*;
 use crate::gpu::{AttributeSource, Raster};

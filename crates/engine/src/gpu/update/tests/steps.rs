@@ -23,7 +23,7 @@ fn rates() -> StepSizes {
     StepSizes { fields: std::array::from_fn(|i| 1e-3 * (i + 1) as f32), prototypes: 2e-3, environment: 0.0 }
 }
 
-/// Step size of planar element `at`, and whether it has the material's age.
+/// Step size of planar element `at`, and whether it has the material's step count.
 fn rate_at(g: &Gaussians, rates: &StepSizes, at: usize) -> (f64, bool) {
     let field = Field::ALL.into_iter().find(|f| range(g, *f).contains(&at)).unwrap();
     let rate = f64::from(rates.fields[field as usize]);

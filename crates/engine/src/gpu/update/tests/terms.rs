@@ -3,7 +3,7 @@
 use super::*;
 use relume_scene::light::sh_eval;
 
-/// A model nobody sees: the picture has no part in its gradients.
+/// A model out of view: the image does not contribute to its gradients.
 fn unseen(shape: &Shape, seed: u64) -> UpdateCase {
     let mut case = UpdateCase::new(shape, seed, |_| ());
     case.records.iter_mut().for_each(|r| r.flags = 0);
@@ -73,7 +73,7 @@ fn parameter_terms_and_gradients_match_the_formulas() {
             let (mut numeric, mut analytic): (Vec<f32>, _) =
                 (r.clone().map(derivative).collect(), got[r].to_vec());
             if field == Field::LogScale {
-                // All scales of Gaussian 1 are equal, a kink for the differences: the first is the smallest.
+                // All scales of Gaussian 1 are equal, a kink for central differences: the first one counts as the smallest.
                 assert!(analytic[3] > 0.0 && analytic[4..6] == [0.0; 2]);
                 numeric[3..6].copy_from_slice(&[0.0; 3]);
                 analytic[3] = 0.0;
@@ -120,12 +120,12 @@ fn label(raw: f64, p: f64, form: VisibilityForm) -> (f64, f64) {
     (loss(v), if leads_away { 0.0 } else { derivative })
 }
 
-/// A case whose picture has no gradient but whose splats are visible, and labels for it: four in five have weight.
+/// A case whose image has no gradient but whose splats are visible, and labels for it; four in five have weight.
 fn labelled(visibility: usize, form: VisibilityForm) -> (UpdateCase, Vec<[f32; 2]>) {
     let options = ShadingOptions { visibility: form, ..Default::default() };
     let channels = Channels::Full((visibility + 1) * (visibility + 1));
     let shape = Shape { n: 300, visibility, options, channels, ..Default::default() };
-    // Inside the interval of the clamp and beyond it on both sides.
+    // Values inside the interval of the clamp and beyond it on both sides.
     let spread = |m: &mut Model| m.gaussians.field_mut(Field::Visibility).iter_mut().for_each(|c| *c *= 4.0);
     let mut case = UpdateCase::new(&shape, 60, spread);
     case.rows.iter_mut().for_each(|v| *v *= 0.0);
@@ -140,7 +140,7 @@ fn labelled(visibility: usize, form: VisibilityForm) -> (UpdateCase, Vec<[f32; 2
     (case, labels)
 }
 
-/// Value of the label term with weight 0.7, its gradient, and how many labels hold instead of pulling.
+/// Value of the label term with weight 0.7, its gradient, and the number of labels without a gradient.
 fn expected_pull(case: &UpdateCase, labels: &[[f32; 2]], form: VisibilityForm) -> (f64, Vec<f32>, usize) {
     let g = &case.model.gaussians;
     let counted = labels.iter().filter(|l| l[1] > 1e-3).count();

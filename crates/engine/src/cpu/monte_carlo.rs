@@ -4,34 +4,42 @@
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
-use crate::render::Frame;
-use crate::render::cpu_frame_job::CpuFrameJob;
-use relume_engine::cpu::{OccluderBvh, Pass, Surface, reflector, resolve, surface_point};
+use crate::cpu::{
+    AttributeSource, OccluderBvh, Pass, Surface, SurfaceShader, reflector, resolve, surface_point,
+};
+use crate::{Frame, FrameJob};
 use relume_layout::channel::{Channels, OutgoingRadiance};
 use relume_layout::constants::EarlyStop;
 use relume_scene::Field;
 use relume_scene::light::{EnvSampler, SampleCounts, estimate};
-use relume_spec::rendering::Quality;
 
-/// Most rows of a sampled environment: a texel of 0.35 degrees, two thirds of the sun.
-pub(super) const MAX_ROWS: usize = 512;
 /// A frame is f32 and finite, whatever a single sample of an extreme light came to.
 const MAX_RADIANCE: f64 = 1e36;
 
-/// Renders every pixel with `quality.samples` directions; the bytes depend on `quality.seed` and on nothing else that is
-/// random. `pixels_before` is the number of the frame's pixels above the job's.
+/// The directions that a job draws.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sampling {
+    /// Directions a pixel.
+    pub samples: u32,
+    /// Their seed.
+    pub seed: u64,
+    /// Pixels of the frame before the first one of the job: no two pixels have the same samples.
+    pub pixels_before: u64,
+}
+
+/// Renders every pixel. The bytes depend on the seed and on nothing else that is random.
 pub(super) fn render(
-    job: &CpuFrameJob<'_>,
+    job: &FrameJob<'_>,
+    (source, shader): (&AttributeSource<'_>, &SurfaceShader<'_>),
     environment: &EnvSampler,
+    Sampling { samples, seed, pixels_before }: Sampling,
     occluders: &OccluderBvh,
-    quality: Quality,
-    pixels_before: u64,
 ) -> Frame {
-    let view = job.frame.view;
-    let coefficients = job.source.gaussians.width(Field::Visibility);
-    let pass = Pass::forward(&job.source, view, Channels::Full(coefficients), EarlyStop::WhenSaturated);
-    let shares = SampleCounts::of(quality.samples, environment);
-    let random = ChaCha8Rng::seed_from_u64(quality.seed);
+    let view = job.view;
+    let coefficients = source.gaussians.width(Field::Visibility);
+    let pass = Pass::forward(source, view, Channels::Full(coefficients), EarlyStop::WhenSaturated);
+    let shares = SampleCounts::of(samples, environment);
+    let random = ChaCha8Rng::seed_from_u64(seed);
     let light = |(x, y): (usize, usize), surface: &Surface| {
         // A stream a pixel: no pixel's samples depend on who rendered the one before.
         let mut random = random.clone();
@@ -54,5 +62,5 @@ pub(super) fn render(
             specular: sum.specular.map(finite),
         }
     };
-    resolve(&pass, &job.shader, job.frame.outputs, job.frame.depth_scale, light)
+    resolve(&pass, shader, job.outputs, job.depth_scale, light)
 }

@@ -2,11 +2,11 @@
 
 use rayon::prelude::*;
 
-use relume_engine::cpu::{
+use crate::cpu::{
     AttributeSource, OccluderBvh, Pass, Surface, attribute_rows, blended_radiance, normalise, reflector,
     surface_at, surface_points,
 };
-use relume_engine::towards_light;
+use crate::towards_light;
 use relume_layout::channel::{COVERAGE, Channels, OutgoingRadiance, RowLight};
 use relume_layout::constants::{EarlyStop, MIN_COVERAGE, SHADOW_SAMPLE_OFFSETS};
 use relume_scene::light::{DominantLight, Sheen, TableLight};

@@ -1,0 +1,15 @@
+//! Sizes to which environment maps are reduced, rows; a map has twice as many columns. They stand in one place, since one map
+//! passes through several of them.
+
+/// Maps that frames are rendered with: a texel of 0.18 degrees, a third of the sun's width.
+pub const RENDERED_ROWS: usize = 1024;
+/// Maps that Monte-Carlo samples are drawn from: a texel of 0.35 degrees, two thirds of the sun's width.
+pub const SAMPLED_ROWS: usize = 512;
+/// Maps in which strong small lights are looked for. Larger maps are reduced first, which keeps their power.
+pub const LIGHT_SEARCH_ROWS: usize = 512;
+/// Maps with fewer rows have no small lights: a texel of 5.6 degrees is wider than one.
+pub const MIN_LIGHT_SEARCH_ROWS: usize = 32;
+/// Maps that a viewer shows behind a model, as a picture of the light.
+pub const VIEWER_ROWS: usize = 256;
+/// Maps over which the diffuse transfer is integrated: the clamped cosine has no detail below ten degrees.
+pub const DIFFUSE_ROWS: usize = 32;
