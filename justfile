@@ -1,21 +1,21 @@
-# The commands one types; `just` lists them. $RELUME_TEST_DATA is described in CONTRIBUTING.md.
+# Common commands; `just` lists them. CONTRIBUTING.md describes $RELUME_TEST_DATA.
 
 default:
     @just --list
 
-# Type-check everything, fast
+# Type-check everything; shares work with the release build
 check:
-    cargo check --all-targets
+    cargo check --release --workspace --all-targets
 
 # Tests that need nothing but this machine; arguments filter by name
 test *FILTER:
     cargo test --release {{FILTER}}
 
-# All tests, those of the GPU engine and of outside data included
+# All tests, including those of the GPU engine and of outside data
 test-all *FILTER:
     cargo test --release {{FILTER}} -- --include-ignored
 
-# Format, lints and API documentation without a warning
+# Formatting, lints and API documentation without warnings
 lint:
     cargo fmt --check
     cargo clippy --release --workspace --all-targets -- -D warnings

@@ -1,5 +1,5 @@
-// Adam for what all Gaussians share: albedo prototypes, then the raw environment. A thread owns one float; nothing lies
-// in workgroup memory.
+// Adam for the parameters that all Gaussians share: albedo prototypes, then the raw environment. A thread owns one float. No
+// workgroup memory.
 #import index
 #import status
 #import adam
@@ -8,10 +8,10 @@
 const WG_SIZE = 256u;
 
 struct AdamGlobals {
-    // Floats of the prototypes, floats in all.
+    // Number of floats of the prototypes, and of all parameters.
     n_prototypes: u32,
     n: u32,
-    // Rates over the correction of the first moment; 0 = leave alone.
+    // Rates over the correction of the first moment; 0: unchanged.
     rate_prototypes: f32,
     rate_environment: f32,
     // Root of the correction of the second moment.
@@ -27,7 +27,7 @@ struct AdamGlobals {
 @group(0) @binding(3) var<storage, read_write> first: array<f32>;
 @group(0) @binding(4) var<storage, read_write> second: array<f32>;
 @group(0) @binding(5) var<storage, read_write> status: array<atomic<u32>>;
-// What the tile lists hold (tile_capacity.wgsl): when they were short, nothing is updated.
+// Status of the tile lists (tile_capacity.wgsl): if they were too short, nothing is updated.
 @group(0) @binding(6) var<storage, read> list_status: array<u32>;
 
 @compute @workgroup_size(WG_SIZE)

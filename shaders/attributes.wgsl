@@ -1,7 +1,7 @@
-// Rows of attributes that are blended, for visible splats (docs/MODEL.md section 3): the port of cpu/attributes.rs.
-// GROUPS vec4 a row: 1 = colour, 2 = geometry, 4 = material, more = everything.
-// A thread owns one Gaussian. No workgroup memory. Threads go by Gaussian, not by rank: parameters of neighbours lie next
-// to each other, in depth order every read would be a line of its own.
+// Attribute rows of visible splats, the input of blending (docs/MODEL.md, section 3): the port of cpu/attributes.rs.
+// GROUPS vec4 per row: 1 = colour, 2 = geometry, 4 = material, more = all channels.
+// A thread owns one Gaussian. No workgroup memory. Threads follow the order of the Gaussians, not of depth: parameters of
+// neighbours are contiguous, while in depth order every read would touch another cache line.
 #import attributes
 #import generated/channels
 #import incoming

@@ -1,12 +1,12 @@
 // Backward transmittance as a pseudo label (docs/MODEL.md Eq. 14-15): per Gaussian the sums over pixels of w That and of
-// w, That being the product of 1 - alpha over the splats behind.
+// w, where That is the product of 1 - alpha over the splats behind.
 //
-// A workgroup owns a tile, a thread one pixel. A first sweep front to back finds the transmittance with which the pixel
-// ends; a second one back to front recovers each weight by division while the product behind grows, eight splats at a
-// time. The two outputs of a splat are summed over pixels through workgroup memory (16 KiB for the pairs, 2 KiB for the
-// sums of each share of pixels), then added atomically once a tile. Nothing stops early: what lies behind a saturated
-// pixel still counts in That. Weights behind MIN_LABEL_TRANSMITTANCE are below any that matter and taken as zero, since the transmittance
-// there cannot be divided back.
+// A workgroup owns a tile, a thread one pixel. A first sweep front to back finds the final transmittance of the pixel. A
+// second sweep back to front recovers each weight by division and extends the product behind, eight splats at a time. The
+// two outputs of a splat are summed over pixels through workgroup memory (16 KiB for the pairs, 2 KiB for the sums of each
+// share of pixels), then added atomically once per tile. There is no early stop: splats behind a saturated pixel still count
+// in That. Weights at a transmittance below MIN_LABEL_TRANSMITTANCE are negligible and count as zero, since division cannot
+// recover the transmittance there.
 #import alpha
 #import camera
 
@@ -17,7 +17,7 @@
 @group(0) @binding(4) var<storage, read_write> labels: array<accumulator>;
 
 const WG_SIZE = 256u;
-// Splats a batch.
+// Splats per batch.
 const BATCH = 8u;
 const N_SHARES = 32u;
 const MIN_LABEL_TRANSMITTANCE = 1e-30;
@@ -26,7 +26,7 @@ var<workgroup> sh_pair: array<vec2f, 2048>;
 var<workgroup> sh_sum: array<vec2f, 256>;
 var<workgroup> sh_footprint: array<Footprint, WG_SIZE>;
 
-// Pairs lie splat by splat; a share of pixels is every 32nd.
+// Pairs are stored splat by splat; a share of pixels is every 32nd pixel.
 fn sum_batch(local_ix: u32, first: u32, n: u32) {
     let splat = local_ix / N_SHARES;
     var sum = vec2f(0.0);

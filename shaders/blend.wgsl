@@ -1,10 +1,10 @@
 // Blends splats front to back into the G-buffer (docs/MODEL.md Eq. 4-5), GROUPS vec4 of channels at once.
 //
 // A workgroup owns a tile of 16 x 16 pixels, a thread one pixel and its 4 GROUPS sums, which stay in registers (one
-// variable a group, unrolled). Workgroup memory holds a batch of the tile's splats: footprints and attribute rows, read
-// by all threads at the same address. BATCH makes it 20 KiB at most: enough loads in flight, several workgroups on a core.
-// Threads whose pixel is saturated leave the batch; the workgroup stops when none is left.
-// It also leaves where each pixel ended and with which transmittance: the way back recovers the rest by division.
+// variable per group, unrolled). Workgroup memory holds a batch of the tile's splats: footprints and attribute rows, which
+// all threads read at the same address. BATCH limits it to 20 KiB: enough loads in flight, several workgroups per core.
+// Threads whose pixel is saturated leave the batch; the workgroup stops when all have left.
+// The kernel also writes the last slot and the transmittance of each pixel: the backward pass recovers the rest by division.
 #import alpha
 #import camera
 
@@ -20,7 +20,7 @@
 const WG_SIZE = 256u;
 
 struct Blending {
-    // A pixel is left when its transmittance falls below this.
+    // Blending stops at a pixel whose transmittance is below this.
     least_transmittance: f32,
     pad_a: u32,
     pad_b: u32,
@@ -53,7 +53,7 @@ fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) loca
     var sum_$g = vec4f(0.0);
 #end
     for (var batch = first; batch < end; batch += BATCH) {
-        // Its barriers also see to it that the last batch has been read.
+        // The barriers of the load also ensure that the last batch has been read.
         if workgroupUniformLoad(&sh_n_live) == 0u {
             break;
         }

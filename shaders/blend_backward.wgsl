@@ -1,22 +1,22 @@
-// Backward pass of the blending: gradients of each splat by what its tiles' pixels saw, GROUPS vec4 of channels.
+// Backward pass of the blending: gradients of each splat from the pixels of its tiles, GROUPS vec4 of channels.
 //
-// A workgroup owns a tile, a thread one pixel. Splats are taken 16 at a time from the last that counted to the first; a
-// pixel recovers each transmittance by division from where its blending ended. With s = <attributes, gradient> of a
+// A workgroup owns a tile, a thread one pixel. Splats are processed 16 at a time, from the last that counted to the first. A
+// pixel recovers each transmittance by division, starting from the end of its blending. With s = <attributes, gradient> of a
 // splat in a pixel, the gradient by alpha is T s - (sum of w s behind) / (1 - alpha).
 //
-// The sums over pixels are small matrix products. All threads lay down the 256 x 16 weights in `sh_matrix`; gradients of
-// attributes are then its product with the 256 x 4 GROUPS gradients: a thread sums 4 splats x 4 channels over a share of
-// the pixels (16 products for each pair of loads), the shares are added up in `sh_matrix` again, and one atomic addition
-// an output and tile goes out. The same memory then carries the alpha gradients, which are multiplied with the moments
-// 1, dx, dy, dx^2, dx dy, dy^2 of the pixels about the splat's mean: mean, conic and opacity follow from those. A seventh
-// sum is absgrad: of the length of each pixel's gradient by the mean, the signal of density control (AbsGS, Ye et al. 2024).
-// Compared with summing each of the 8 + 4 GROUPS outputs over the workgroup by itself this needs a few barriers per 16
-// splats instead of some per output, and no subgroup operations.
+// The sums over pixels are small matrix products. All threads write the 256 x 16 weights to `sh_matrix`. The gradients of
+// attributes are the product of this matrix with the 256 x 4 GROUPS gradients: a thread sums 4 splats x 4 channels over a
+// share of the pixels (16 products for each pair of loads), the shares are added up in `sh_matrix` again, and each output
+// needs one atomic addition per tile. The same memory then holds the alpha gradients, which are multiplied with the moments
+// 1, dx, dy, dx^2, dx dy, dy^2 of the pixels about the splat's mean; mean, conic and opacity follow from those. A seventh
+// sum is absgrad: the length of each pixel's gradient by the mean, the signal of density control (AbsGS, Ye et al. 2024).
+// Separate workgroup sums of each of the 8 + 4 GROUPS outputs would need some barriers per output; this needs a few barriers
+// per 16 splats and no subgroup operations.
 //
-// Workgroup memory: `sh_matrix` 16 KiB, moments 7 KiB, attributes 256 B a group, footprints 0.5 KiB: 28 KiB at most.
-// Rows of `sh_matrix` are rotated by half the pixel index, so that neither pixels side by side (writing) nor groups of four
-// splats side by side (reading) meet in a memory bank. A pixel's own gradient stays in registers; the matrix product
-// reads the gradients of other pixels from memory, where the tile's share (4 KiB a group) stays in the cache.
+// Workgroup memory: `sh_matrix` 16 KiB, moments 7 KiB, attributes 256 B per group, footprints 0.5 KiB: at most 28 KiB.
+// Rows of `sh_matrix` are rotated by half the pixel index, so that neither adjacent pixels (writing) nor adjacent groups of
+// four splats (reading) conflict in a memory bank. A pixel's own gradient stays in registers. The matrix product reads the
+// gradients of other pixels from memory, where the tile's share (4 KiB per group) stays in the cache.
 #import alpha
 #import generated/channels
 #import camera
@@ -32,7 +32,7 @@
 @group(0) @binding(8) var<storage, read_write> splat_gradients: array<accumulator>;
 
 struct BackwardSize {
-    // Groups an attribute row has; the first GROUPS of them are differentiated.
+    // Groups per attribute row; the first GROUPS of them are differentiated.
     n_attribute_groups: u32,
     pad_a: u32,
     pad_b: u32,
@@ -40,10 +40,10 @@ struct BackwardSize {
 }
 
 const WG_SIZE = 256u;
-// Splats a batch; also 4 vectors of 4.
+// Splats per batch; also 4 vectors of 4.
 const BATCH = 16u;
 const ROW = GRADIENT_HEADER + 4u * GROUPS;
-// (4 splats, 4 channels) pairs, and how many threads share the pixels of each.
+// Number of (4 splats, 4 channels) blocks; the next constant is the number of threads that share the pixels of a block.
 const N_BLOCKS = 4u * GROUPS;
 const N_SHARES = WG_SIZE / N_BLOCKS;
 const N_MOMENTS = 7u;
@@ -54,7 +54,7 @@ var<workgroup> sh_attributes: array<vec4f, BATCH * GROUPS>;
 var<workgroup> sh_footprint: array<Footprint, BATCH>;
 var<workgroup> sh_end: atomic<u32>;
 
-// Where the weights of splats 4 quad .. 4 quad + 3 in a pixel lie.
+// Index of the weights of splats 4 quad .. 4 quad + 3 in a pixel.
 fn matrix_ix(pixel_local: u32, quad: u32) -> u32 {
     return pixel_local * 4u + ((quad + (pixel_local >> 1u)) & 3u);
 }
@@ -99,7 +99,7 @@ fn attribute_gradients(tile: vec2u, local_ix: u32, first: u32, n: u32) {
         let splat = output / (4u * GROUPS);
         let channel = output % (4u * GROUPS);
         if splat < n {
-            // Blocks hold the quad in their lowest bits.
+            // The lowest bits of a block's index are the quad.
             let column = ((channel >> 2u) * 4u + (splat >> 2u)) * 4u + (splat & 3u);
             var total = 0.0;
             for (var k = 0u; k < N_SHARES; k++) {
@@ -146,7 +146,7 @@ fn geometry_gradients(tile: vec2u, local_ix: u32, first: u32, n: u32) {
     sh_moments[5u * WG_SIZE + local_ix] = d_two.z;
     sh_moments[6u * WG_SIZE + local_ix] = absgrad;
     workgroupBarrier();
-    // A thread sums one moment of one splat over the rows, into the place of the first row.
+    // A thread sums one moment of one splat over the rows, into the first row.
     if local_ix < BATCH * N_MOMENTS {
         let at = (local_ix / BATCH) * WG_SIZE + local_ix % BATCH;
         var total = 0.0;
@@ -166,7 +166,7 @@ fn geometry_gradients(tile: vec2u, local_ix: u32, first: u32, n: u32) {
     }
 }
 
-// Entry of a gradient row's header (mean x, y, conic xx, xy, yy, opacity, absgrad) out of the sums.
+// Entry of a gradient row's header (mean x, y, conic xx, xy, yy, opacity, absgrad) from the sums.
 fn header_entry(gaussian_ix: u32, splat: u32, output: u32) -> f32 {
     if output < 2u {
         let conic = splats[gaussian_ix].conic;
@@ -203,7 +203,7 @@ fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) loca
 #end
     if is_active {
         let end = ends[pixel.y * camera.size.x + pixel.x];
-        // A stale buffer must not lead out of the tile.
+        // Clamped, so that a stale buffer cannot lead out of the tile.
         own_end = clamp(end.slot, tile_first, first_slot[tile_ix + 1u]);
         transmittance = end.transmittance;
         atomicMax(&sh_end, own_end);
@@ -227,7 +227,7 @@ fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) loca
         var weight_$a = vec4f(0.0);
         var flow_$a = vec4f(0.0);
 #end
-        // Back to front: `weight_0` and `flow_0` are of the batch's last quad. Values are shifted in, so that no vector is
+        // Back to front: `weight_0` and `flow_0` belong to the batch's last quad. Values are shifted in, so that no vector is
         // indexed at run time and the loop over a quad need not be unrolled.
 #repeat a 4
         for (var b = 0u; b < 4u; b++) {
@@ -245,7 +245,7 @@ fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) loca
                     s += dot(sh_attributes[k * GROUPS + $gu], gradient_$g);
 #end
                     weight = transmittance * alpha;
-                    // Capped alpha does not move.
+                    // Capped alpha has no derivative.
                     flow = select(0.0, (transmittance * s - behind * inverse) * alpha, free < ALPHA_MAX);
                     behind += weight * s;
                 }

@@ -1,13 +1,13 @@
-// Rebuilds parameters and moments after a round of density control: Gaussians dropped, copied and halved. A thread owns
-// one element of the new planar buffers, so that writes are coalesced and reads nearly so; nothing lies in workgroup
-// memory. The planar layout depends on the number of Gaussians: an element is found again by field, Gaussian and k.
+// Rebuilds parameters and moments after a round of density control, which drops, copies and halves Gaussians. A thread owns
+// one element of the new planar buffers, so that writes are coalesced and reads almost so. No workgroup memory. The planar
+// layout depends on the number of Gaussians: an element is identified by field, Gaussian and k.
 #import generated/density
 #import index
 #import generated/parameters
 #import quaternion
 
 const WG_SIZE = 256u;
-// Kinds of a new Gaussian: as it was; as it was, its moments zero; one half or the other, its moments zero.
+// Kinds of a new Gaussian: unchanged; unchanged with zero moments; one half or the other, with zero moments.
 const KIND_KEEP = 0u;
 const KIND_FRESH = 1u;
 const KIND_UPPER_HALF = 2u;
@@ -15,7 +15,7 @@ const KIND_LOWER_HALF = 3u;
 
 @group(0) @binding(0) var<uniform> old: Layout;
 @group(0) @binding(1) var<uniform> now: Layout;
-// By new Gaussian: which old one it comes from, and its kind.
+// Per new Gaussian: its old one, and its kind.
 @group(0) @binding(2) var<storage, read> plan: array<vec2u>;
 @group(0) @binding(3) var<storage, read> old_params: array<f32>;
 @group(0) @binding(4) var<storage, read> old_first: array<f32>;
@@ -52,8 +52,8 @@ fn longest_axis(s: vec3f) -> u32 {
     return select(2u, 1u, s.y >= s.z);
 }
 
-// Element `k` of a half: moved half a sigma along the longest axis, shorter there, and less opaque, so that both halves
-// together hide what the whole did.
+// Element `k` of a half: moved half a sigma along the longest axis, shorter along it, and less opaque, so that both halves
+// together cover the area of the whole.
 fn halved(place: Place, source_ix: u32, k: u32, value: f32, side: f32) -> f32 {
     let log_scale = old_vector(old.log_scale + 3u * source_ix);
     let axis = longest_axis(log_scale);

@@ -1,7 +1,7 @@
 // Gradient of the raw environment: the transposed map `M^T g`, the terms on the light itself, and the chain through
-// softplus (docs/MODEL.md sections 4 and 5).
-// A workgroup owns one texel; its threads share the (colour, coefficient) pairs of the diffuse rows and the entries of the
-// specular ones, then add up. A texel has up to 20,000 terms. Workgroup memory holds the partial sums.
+// softplus (docs/MODEL.md, sections 4 and 5).
+// A workgroup owns one texel. Its threads share the (colour, coefficient) pairs of the diffuse rows and the entries of the
+// specular rows, then sum up. A texel has up to 20,000 terms. Workgroup memory holds the partial sums.
 const WG_SIZE = 128u;
 #import environment
 #import index
@@ -15,13 +15,13 @@ const WG_SIZE = 128u;
 @group(0) @binding(4) var<storage, read> upward: array<f32>;
 @group(0) @binding(5) var<storage, read> light_derivative: array<f32>;
 @group(0) @binding(6) var<storage, read> tables_gradient: array<f32>;
-// Transposed rows, two a texel: `(diffuse node, weight)`, then `(specular node of all levels, weight)`.
+// Transposed rows, two per texel: `(diffuse node, weight)`, then `(specular node of all levels, weight)`.
 @group(0) @binding(7) var<storage, read> first_entry: array<u32>;
 @group(0) @binding(8) var<storage, read> entries: array<vec2u>;
 @group(0) @binding(9) var<storage, read> harmonics: array<f32>;
 @group(0) @binding(10) var<storage, read_write> globals_gradient: array<f32>;
 
-// What thread `local_ix` adds up of the gradient of a texel of the turned map.
+// Partial sum of thread `local_ix` of the gradient of a texel of the rotated map.
 fn share(texel_ix: u32, local_ix: u32) -> vec3f {
     var sums = vec3f(0.0);
     let coefficients = tables.coefficients;
@@ -54,7 +54,7 @@ fn main(
     if texel_ix >= environment.n_texels {
         return;
     }
-    // Where the light is turned, a texel is part of two texels of the turned map, as many columns back.
+    // Where the light is rotated, a texel contributes to two texels of the rotated map, by the column shift back.
     let back = 2u * environment.width - environment.whole;
     var sums = (1.0 - environment.fraction) * share(texel_beside(texel_ix, back, environment.width), local_ix);
     if environment.fraction != 0.0 {

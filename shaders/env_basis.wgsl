@@ -1,4 +1,4 @@
-// Basis of the learned indirect light, `E_j = sum over nodes of B_j(node) L_low(node)` (article Eq. 20), B on the host.
+// Basis of the learned indirect light, `E_j = sum over nodes of B_j(node) L_low(node)` (article Eq. 20); the host computes B.
 // A thread owns one of the 16 x 3 values. No workgroup memory.
 const WG_SIZE = 64u;
 #import tables

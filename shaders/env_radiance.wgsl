@@ -1,7 +1,7 @@
-// Radiance of the environment from its raw texels (softplus), the terms of the objective on it, and what their gradients
-// need (docs/MODEL.md section 5: light neutrality, exposure, colour).
-// One workgroup takes all texels, since two terms need sums over them and there are few thousand at most; a
-// thread owns every 256th texel.
+// Radiance of the environment from its raw texels (softplus), the terms of the objective on it, and the values for their
+// gradients (docs/MODEL.md, section 5: light neutrality, exposure, colour).
+// One workgroup processes all texels, since two terms need sums over them and there are a few thousand at most. A thread
+// owns every 256th texel.
 const WG_SIZE = 256u;
 #import environment
 #import generated/level
@@ -11,12 +11,12 @@ const WG_SIZE = 256u;
 @group(0) @binding(0) var<uniform> environment: Environment;
 // Raw prototypes, then raw texels.
 @group(0) @binding(1) var<storage, read> globals: array<f32>;
-// What a texel adds to the mean irradiance of a surface facing up, divided by pi.
+// Contribution of a texel to the irradiance of a surface facing up, divided by pi.
 @group(0) @binding(2) var<storage, read> upward: array<f32>;
 @group(0) @binding(3) var<storage, read_write> radiance: array<f32>;
-// The same as it stood in the photograph, turned about +Z.
+// The radiance rotated about +Z, as in the photograph.
 @group(0) @binding(6) var<storage, read_write> turned: array<f32>;
-// Derivatives of exposure and colour by what comes from above, in each channel.
+// Derivatives of exposure and colour by the irradiance from above, per channel.
 @group(0) @binding(4) var<storage, read_write> light_derivative: array<f32>;
 @group(0) @binding(5) var<storage, read_write> losses: array<accumulator>;
 

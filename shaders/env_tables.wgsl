@@ -1,4 +1,4 @@
-// Tables of the environment as a linear map of its radiance, row by row (docs/MODEL.md section 4, `M L`).
+// Tables of the environment as a linear map of its radiance, row by row (docs/MODEL.md, section 4, `M L`).
 // A thread owns one float of the tables: threads of one node read the same sparse row and the same radiances.
 // No workgroup memory.
 const WG_SIZE = 256u;
@@ -7,7 +7,7 @@ const WG_SIZE = 256u;
 
 @group(0) @binding(0) var<uniform> tables: Tables;
 @group(0) @binding(1) var<storage, read> radiance: array<f32>;
-// Sparse rows: cosine rows of the grid of normals, then prefilter rows level after level. `(texel, bits of the weight)`.
+// Sparse rows: cosine rows of the grid of normals, then prefilter rows level by level. `(texel, bits of the weight)`.
 @group(0) @binding(2) var<storage, read> first_entry: array<u32>;
 @group(0) @binding(3) var<storage, read> entries: array<vec2u>;
 // Y_j of each texel, `[texel][coefficients]`.

@@ -1,6 +1,6 @@
-// What the blocked directions of each Gaussian send back: irradiance, and mean radiance over the blocked directions of
-// its upper hemisphere. A thread owns one Gaussian and goes through the directions: neighbouring threads read
-// neighbouring transmittances and hits, and links need no lists. No workgroup memory.
+// Light from the blocked directions of each Gaussian: irradiance, and mean radiance over the blocked directions of its upper
+// hemisphere. A thread owns one Gaussian and iterates over the directions: neighbouring threads read neighbouring
+// transmittances and hits, and links need no lists. No workgroup memory.
 #import gather
 #import generated/occlusion
 #import index
@@ -8,7 +8,7 @@
 @group(0) @binding(0) var<uniform> transport: GatherSize;
 @group(0) @binding(1) var<storage, read> directions: array<vec4f>;
 @group(0) @binding(2) var<storage, read> normals: array<vec4f>;
-// By direction, then Gaussian.
+// [direction][Gaussian].
 @group(0) @binding(3) var<storage, read> transmittances: array<f32>;
 @group(0) @binding(4) var<storage, read> hits: array<u32>;
 @group(0) @binding(5) var<storage, read> emitted: array<vec4f>;

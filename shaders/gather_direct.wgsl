@@ -1,6 +1,6 @@
-// Per Gaussian, what a bounce starts from: the irradiance of the sky through its own visibility and of the lights beside the
-// tables as far as they arrive, and what share of its
-// irradiance a diffuse surface sends back (albedo (1 - metal) / pi). A thread owns one Gaussian. No workgroup memory.
+// Per Gaussian, the input of a bounce: the irradiance of the sky through its own visibility plus the arriving shares of the
+// dominant lights, and the share of its irradiance that a diffuse surface reflects (albedo (1 - metal) / pi). A thread owns
+// one Gaussian. No workgroup memory.
 #import attributes
 #import cube_grid
 #import finite
@@ -22,7 +22,7 @@ const FRAC_1_PI = 0.31830989;
 @group(0) @binding(7) var<storage, read_write> diffuse: array<vec4f>;
 @group(0) @binding(8) var<storage, read> gathered: array<f32>;
 
-// Irradiance of the lights along a unit normal.
+// Irradiance of the dominant lights at a surface with this unit normal.
 fn of_lights(gaussian_ix: u32, normal: vec3f) -> vec3f {
     let arriving = arriving_at(gaussian_ix, model.n);
     var sum = vec3f(0.0);
@@ -34,7 +34,7 @@ fn of_lights(gaussian_ix: u32, normal: vec3f) -> vec3f {
     return sum;
 }
 
-// Row of one colour of one node times the Gaussian's visibility.
+// Dot product of the row of one colour of one node with the Gaussian's visibility.
 fn through_visibility(gaussian_ix: u32, row: u32) -> f32 {
     if model.visibility_form == VISIBILITY_OFF {
         return values[row] * UNOCCLUDED_SH0;
@@ -56,7 +56,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     let normal = normals[gaussian_ix].xyz;
     var sky = vec3f(0.0);
     var lights = vec3f(0.0);
-    // Parameters that are no numbers have no normal either.
+    // Parameters that are NaN give a NaN normal.
     if is_finite(normal.x) && is_finite(normal.y) && is_finite(normal.z) {
         let taps = cube_taps(shape.diffuse_n, normal);
 #repeat k 4

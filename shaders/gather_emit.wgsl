@@ -1,5 +1,5 @@
-// Radiance that each Gaussian sends back in this round: diffuse (sky + gathered so far). A thread owns one Gaussian; no
-// workgroup memory. A kernel of its own: in the next one it is read once a link, at random.
+// Radiance of each Gaussian in this round: diffuse (sky + gathered so far). A thread owns one Gaussian. No workgroup memory.
+// This is a separate kernel because the next one reads the radiance once per link, at random positions.
 #import gather
 #import index
 

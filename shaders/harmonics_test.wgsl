@@ -1,4 +1,4 @@
-// Values and gradients of the harmonics of order 6 along given directions, and rotations of given quaternions, for the
+// Values and gradients of the harmonics of degree 6 along given directions, and rotations of given quaternions, for the
 // tests of the shared pieces. A thread owns one direction; no workgroup memory.
 const WG_SIZE = 256u;
 #import index

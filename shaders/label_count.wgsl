@@ -1,5 +1,5 @@
-// Counts the Gaussians that have a label from this view: the mean of the label loss is over them. A thread owns a
-// Gaussian; workgroup memory holds the workgroup's count, so that it costs one atomic in memory.
+// Counts the Gaussians with a label from this view: the label loss is the mean over them. A thread owns a Gaussian. Workgroup
+// memory holds the workgroup's count, so that a workgroup needs one atomic addition in memory.
 #import index
 #import generated/objective
 
@@ -13,7 +13,7 @@ struct LabelCount {
 }
 
 @group(0) @binding(0) var<uniform> uniforms: LabelCount;
-// By Gaussian: sum w That, sum w.
+// Per Gaussian: sum w That, sum w.
 @group(0) @binding(1) var<storage, read> view_labels: array<vec2f>;
 @group(0) @binding(2) var<storage, read_write> label_count: array<atomic<u32>>;
 

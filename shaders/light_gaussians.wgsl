@@ -1,5 +1,5 @@
-// The light that each Gaussian sends to the camera, from its row of attributes: into that row, or (with COLOUR) into a row of
-// coverage and linear colour to be blended instead. A thread owns a Gaussian; no workgroup memory.
+// Radiance of each Gaussian towards the camera, from its attribute row: written into that row or, with COLOUR, into a row of
+// coverage and linear colour that is blended instead. A thread owns a Gaussian. No workgroup memory.
 const WG_SIZE = 256u;
 #import index
 #import shading

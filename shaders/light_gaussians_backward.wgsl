@@ -1,6 +1,6 @@
-// The way back through light_gaussians: in each Gaussian's row of splat gradients, what its light has is added to its place,
-// its normal, its material and (with ALL_CHANNELS) its indirect light and visibility; what the light tables get goes by
-// shared/table_shares.wgsl, and what lights beside them get is summed by workgroup. A thread owns a Gaussian.
+// Backward pass of light_gaussians. In each Gaussian's row of splat gradients, the gradient by its light is propagated to its
+// position, its normal, its material and, with ALL_CHANNELS, its indirect light and visibility. shared/table_shares.wgsl adds
+// the gradient of the light tables; the gradient of the dominant lights is summed per workgroup. A thread owns a Gaussian.
 const WG_SIZE = 256u;
 #import index
 #import shading_backward
@@ -14,11 +14,11 @@ const WG_SIZE = 256u;
 @group(0) @binding(9) var<storage, read> gathered: array<f32>;
 @group(0) @binding(10) var<storage, read> indirect_basis: array<f32>;
 @group(0) @binding(11) var<storage, read> attributes: array<vec4f>;
-// Rows of HEADER_GROUPS and the differentiated groups, which are those of the attributes.
+// Rows of HEADER_GROUPS and the differentiated groups; all groups of the attributes are differentiated.
 @group(0) @binding(12) var<storage, read_write> splat_gradients: array<vec4f>;
 @group(0) @binding(13) var<storage, read_write> by_tables: array<accumulator>;
 
-// The Gaussian that the workgroup begins with.
+// The first Gaussian of the workgroup.
 var<private> first_ix: u32;
 
 fn member_visibility(local_ix: u32, quad: u32) -> vec4f {
@@ -36,7 +36,7 @@ fn gaussian_backward(gaussian_ix: u32) -> Shares {
     var by = shade_backward(&s, &f, g);
     splat_gradients[row + NORMAL_GROUP] += vec4f(by.normal, 0.0);
     splat_gradients[row + ALBEDO_GROUP] += vec4f(by.albedo, by.metal);
-    // The gradient by the outgoing radiance has been passed on; its first channel now carries that by sheen.
+    // The gradient by the outgoing radiance is consumed; its first channel now carries the gradient by sheen.
     let by_rough = channel_rough(splat_gradients[row + ROUGH_GROUP]) + by.rough;
     splat_gradients[row + ROUGH_GROUP] = vec4f(by_rough, by.sheen, g.yz);
 #ifdef ALL_CHANNELS
@@ -45,7 +45,7 @@ fn gaussian_backward(gaussian_ix: u32) -> Shares {
         splat_gradients[row + VISIBILITY_GROUP + quad] += by.visibility[quad];
     }
 #endif
-    // The direction of view is that of the ray through the splat's place: it moves with nothing else.
+    // The view direction is that of the ray through the splat's projected mean; it depends on nothing else.
     let across = dot(s.view, by.view) * s.view - by.view;
     let turned = vec2f(dot(across, camera.rotation[0].xyz), dot(across, camera.rotation[1].xyz));
     let by_place = turned * splats[gaussian_ix].depth / (length3(to_gaussian(gaussian_ix)) * camera.focal);
@@ -68,7 +68,7 @@ fn main(
         }
     }
     add_all_shares(local_ix, &shares);
-    // All Gaussians add to the same few floats: a workgroup adds once.
+    // All Gaussians add to the same few floats, so a workgroup adds once.
     for (var k = 0u; k < tables.n_lights; k++) {
         let total = workgroup_sum(local_ix, vec4f(shares.lights[k], 0.0));
         if local_ix < 3u {

@@ -1,13 +1,13 @@
-// Share of each light beside the tables that arrives at each Gaussian: the mean transmittance over its disc, written behind
-// what is gathered (shared/measured.wgsl). A thread owns one Gaussian. No workgroup memory.
+// Arriving share of each dominant light at each Gaussian: the mean transmittance over the light's disc, written after the
+// gathered light (shared/measured.wgsl). A thread owns one Gaussian. No workgroup memory.
 #import index
 
 const WG_SIZE = 256u;
 
 struct LightShares {
-    // Directions that were measured of each light; 0: there is no such light.
+    // Number of measured directions of each light; 0: the light does not exist.
     n_directions: vec4u,
-    // Gaussians.
+    // Number of Gaussians.
     n: u32,
     pad_a: u32,
     pad_b: u32,
@@ -15,7 +15,7 @@ struct LightShares {
 }
 
 @group(0) @binding(0) var<uniform> shares: LightShares;
-// By direction, then Gaussian: those of the first light first.
+// [direction][Gaussian], beginning with the directions of the first light.
 @group(0) @binding(1) var<storage, read> transmittances: array<f32>;
 @group(0) @binding(2) var<storage, read_write> gathered: array<f32>;
 

@@ -1,26 +1,27 @@
-// Samples of the Monte-Carlo estimate of what each pixel's surface sends of an environment: the port of `estimate` of
-// src/light/sampler.rs. Directions are drawn by the light, by the cosine and by the lobe and weighed by the density of all three.
-// A thread owns a pixel; no workgroup memory. Dispatches take the samples in turn, so that none of them is long.
+// Samples of the Monte-Carlo estimate of the light that each pixel's surface reflects from an environment: the port of
+// `estimate` of crates/scene/src/light/sampler.rs. Directions are drawn by the light, by the cosine and by the lobe, and
+// weighted by the combined density of all three. A thread owns a pixel. No workgroup memory. The samples are split over
+// several dispatches, so that each is short.
 #import camera
 #import finite
 #import pixel_reflector
 #import random
 #import ray_tree
 
-// Kept in step with `MonteCarloUniform` of src/engine/gpu/rays/monte_carlo.rs.
+// Kept in step with `MonteCarloUniform` of crates/engine/src/gpu/rays/monte_carlo.rs.
 struct MonteCarlo {
-    // Low and high half.
+    // Low and high word.
     seed: vec2u,
-    // Pixels of the frame before the first of this view.
+    // Number of pixels of the frame before the first one of this view.
     pixels_before: u32,
-    // Samples of this dispatch.
+    // First sample of this dispatch; the next member is the end.
     first_sample: u32,
     end_sample: u32,
-    // Samples drawn by the light, then by the cosine; the rest by the lobe.
+    // Numbers of samples drawn by the light and by the cosine; the lobe draws the rest.
     n_light: u32,
     n_cosine: u32,
     n_lobe: u32,
-    // Of the environment.
+    // Size of the environment.
     width: u32,
     height: u32,
     pad_a: u32,
@@ -34,23 +35,23 @@ struct MonteCarlo {
 @group(0) @binding(4) var<storage, read> depths: array<f32>;
 @group(0) @binding(5) var<storage, read> nodes: array<vec4u>;
 @group(0) @binding(6) var<storage, read> members: array<vec4f>;
-// Radiance, and the density of drawing a direction there by the light.
+// Radiance RGB, and the density of drawing a direction in the texel by the light.
 @group(0) @binding(7) var<storage, read> texels: array<vec4f>;
-// Shares of the light of the rows up to and with each; then of the columns of each row.
+// Cumulative shares of the light over rows, then over the columns of each row.
 @group(0) @binding(8) var<storage, read> sums: array<f32>;
 // Diffuse and specular part, times coverage.
 @group(0) @binding(9) var<storage, read_write> sent: array<vec4f>;
 
-// Radiance is f32 and finite, whatever a single sample of an extreme light came to.
+// Clamp of a sample, so that radiance stays finite in f32 under extreme lights.
 const MAX_RADIANCE = 1e36;
 
 struct Picked {
     ix: u32,
-    // Where in the cell, 0 to 1.
+    // Position within the cell, 0 to 1.
     inside: f32,
 }
 
-// The cell of a running sum from `first` on that `u` falls into.
+// The cell of the cumulative sum from `first` on that contains `u`.
 fn pick(first: u32, n: u32, u: f32) -> Picked {
     var lo = 0u;
     var hi = n;
@@ -109,7 +110,7 @@ fn held(v: vec3f) -> vec3f {
     return min(select(v, vec3f(0.0), vec3<bool>(is_nan(v.x), is_nan(v.y), is_nan(v.z))), vec3f(MAX_RADIANCE));
 }
 
-// One sample: light through the Gaussians, `blocked` where they hide it.
+// One sample: the environment through the Gaussians, `blocked` in the hidden share.
 fn sample_of(r: Reflector, blocked: vec3f, point: vec3f, pixel: u32, sample_ix: u32) -> Reflected {
     let drawn = draw(r, sample_ix, uniform2(vec4u(pixel, sample_ix, sampling.seed)));
     let reflected = reflect_light(r, drawn.direction, 0.0);

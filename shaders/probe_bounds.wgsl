@@ -1,10 +1,10 @@
-// The box that the grids cover, along one axis, from the occluders' sorted coordinates: the middle 98 % and half as much
-// again on either side, but no more than there is. A few Gaussians far out would otherwise leave all others in one cell.
-// One thread does all of it: a search by halving and four reads. No workgroup memory.
+// The extent of the grids along one axis, from the occluders' sorted coordinates: the middle 98 % plus half of that on either
+// side, limited to the occluders' range. Otherwise a few far-away Gaussians would put all others into one cell. One thread
+// runs: a binary search and four reads. No workgroup memory.
 #import probe
 
 @group(0) @binding(0) var<uniform> sweep: Sweep;
-// Ascending; those that hide nothing come last.
+// Ascending; Gaussians that hide nothing come last.
 @group(0) @binding(1) var<storage, read> keys: array<u32>;
 // Lowest corner, highest corner, four floats each; `direction_ix` of the sweep is the axis.
 @group(0) @binding(2) var<storage, read_write> bounds: array<f32, 8>;

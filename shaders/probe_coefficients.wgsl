@@ -1,6 +1,6 @@
 // Visibility coefficients from transmittances: 4 pi / D sum_d V(w_d) Y(w_d).
 // A thread owns one Gaussian and 16 of its coefficients, in registers, so that each transmittance is read at most four
-// times and nothing is added in memory. A workgroup shares the coefficients, not the Gaussians: the basis is read uniformly.
+// times and no sum needs memory. The threads of a workgroup share the coefficients, so the basis is read uniformly.
 #import index
 
 const WG_SIZE = 256u;
@@ -14,7 +14,7 @@ struct Projection {
 }
 
 @group(0) @binding(0) var<uniform> projection: Projection;
-// 64 floats a direction, zero beyond the last coefficient.
+// 64 floats per direction, zero beyond the last coefficient.
 @group(0) @binding(1) var<storage, read> basis: array<vec4f>;
 @group(0) @binding(2) var<storage, read> transmittances: array<f32>;
 @group(0) @binding(3) var<storage, read_write> coefficients: array<f32>;

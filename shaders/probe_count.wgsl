@@ -1,4 +1,4 @@
-// Cells of each flat Gaussian in order of depth, for the prefix sum that gives each its place in the lists.
+// Number of cells of each flat Gaussian in order of depth, for the prefix sum of list positions.
 // A thread owns one rank. No workgroup memory.
 #import index
 #import probe

@@ -1,5 +1,5 @@
-// Writes one (cell, Gaussian) pair for each cell a flat Gaussian overlaps, in order of depth: a stable sort by cell then
-// leaves each cell's Gaussians in that order. A thread owns one rank. No workgroup memory.
+// Writes one (cell, Gaussian) pair for each cell that a flat Gaussian overlaps, in order of depth. A stable sort by cell then
+// keeps each cell's Gaussians in that order. A thread owns one rank. No workgroup memory.
 #import index
 #import probe
 

@@ -1,20 +1,20 @@
-// Flattens the occluders along one direction, gives each its depth key and counts the cells they reach together.
+// Projects the occluders along one direction, computes their depth keys and counts the cells of all of them.
 // A thread owns one Gaussian. Workgroup memory holds one counter, so that a workgroup adds to the total once.
 //
-// The host runs this over all directions to learn how long their lists are, with one read-back for all, and again
-// when it makes them: the same kernel, so that both find the same cells to the last bit.
+// The host runs this kernel twice: over all directions, to find the lengths of their lists with one read-back, and again
+// when it builds the lists. Both runs find exactly the same cells.
 #import index
 #import probe
 
 @group(0) @binding(0) var<uniform> sweep: Sweep;
 @group(0) @binding(1) var<storage, read> frames: array<Frame>;
-// Box the grid covers: lowest corner, highest corner.
+// Box of the grid: lowest corner, highest corner.
 @group(0) @binding(2) var<storage, read> bounds: array<vec4f, 2>;
 @group(0) @binding(3) var<storage, read> occluders: array<Occluder>;
 @group(0) @binding(4) var<storage, read_write> flats: array<Flat>;
 @group(0) @binding(5) var<storage, read_write> depth_keys: array<u32>;
 @group(0) @binding(6) var<storage, read_write> gaussians: array<u32>;
-// Cells by direction, low and high word.
+// Number of cells per direction, low and high word.
 @group(0) @binding(7) var<storage, read_write> totals: array<atomic<u32>>;
 
 var<workgroup> sh_n_cells: atomic<u32>;
@@ -44,7 +44,7 @@ fn main(
     if local_ix == 0u {
         let more = atomicLoad(&sh_n_cells);
         let before = atomicAdd(&totals[2u * sweep.direction_ix], more);
-        // The sum wrapped: carry.
+        // The sum wrapped around: carry.
         if before + more < before {
             atomicAdd(&totals[2u * sweep.direction_ix + 1u], 1u);
         }

@@ -1,18 +1,18 @@
-// Gaussians as the probes see them: occluders with their scaled axes, outward normals, and the points they ask from.
-// A thread owns one Gaussian. No workgroup memory. Once a measurement: what follows runs once a direction.
+// Input of the probes: occluders with their scaled axes, outward normals, and query points. A thread owns one Gaussian. No
+// workgroup memory. This kernel runs once per measurement, the following ones once per direction.
 #import index
 #import generated/parameters
 #import probe
 #import quaternion
 
-// Where a Gaussian asks from whose parameters are no numbers: beyond all that is measured.
+// Coordinate of the query point of a Gaussian with NaN parameters, outside of everything measured.
 const NOWHERE = 2.0 * FAR_OUT;
 
 struct ProbeStart {
-    // Standard deviations, and world units besides, that a query starts along the outward normal.
+    // Offset of a query along the outward normal, in standard deviations; `lift` adds world units.
     offset: f32,
     lift: f32,
-    // Added to the query's own standard deviation along the normal, for its clearance.
+    // Addend to the query's own standard deviation along the normal, for its clearance.
     bias: f32,
     pad: u32,
 }
@@ -21,7 +21,7 @@ struct ProbeStart {
 @group(0) @binding(1) var<uniform> start: ProbeStart;
 @group(0) @binding(2) var<storage, read> params: array<f32>;
 @group(0) @binding(3) var<storage, read_write> occluders: array<Occluder>;
-// Point, and how much further along an occluder must be.
+// Query point, and the smallest distance of an occluder.
 @group(0) @binding(4) var<storage, read_write> queries: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> normals: array<vec4f>;
 
@@ -41,7 +41,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     let quaternion = vec4f(params[at], vec3_at(at + 1u));
     let logit = params[model.opacity + gaussian_ix];
     let rotation = rotation_of(quaternion);
-    // e^34.5 = 1e15: more could not be flattened anyway, and its square would not stay finite.
+    // e^34.5 = 1e15: larger scales cannot be projected, and their squares would not stay finite.
     let scale = exp(clamp(log_scale, vec3f(-60.0), vec3f(34.5)));
     var o: Occluder;
     o.mean = mean;

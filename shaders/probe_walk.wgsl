@@ -1,6 +1,6 @@
-// What each Gaussian sees along one direction: transmittance, and the Gaussian that hides most of the rest.
-// A thread owns one query and takes the shadows of its cell in order of depth, from its own depth on. No workgroup memory: neighbouring Gaussians may
-// lie in different cells.
+// Transmittance from each Gaussian along one direction, and the Gaussian that blocks most of the rest. A thread owns one query
+// and visits the footprints of its cell in order of depth, from its own depth on. No workgroup memory: neighbouring Gaussians
+// may lie in different cells.
 #import index
 #import probe
 
@@ -11,7 +11,7 @@
 @group(0) @binding(4) var<storage, read> flats: array<Flat>;
 @group(0) @binding(5) var<storage, read> first_slot: array<u32>;
 @group(0) @binding(6) var<storage, read> gaussian_of_slot: array<u32>;
-// By direction, then Gaussian.
+// [direction][Gaussian].
 @group(0) @binding(7) var<storage, read_write> transmittances: array<f32>;
 @group(0) @binding(8) var<storage, read_write> hits: array<u32>;
 
@@ -80,7 +80,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     }
     let query = queries[gaussian_ix];
     var seen = Seen(1.0, NO_HIT);
-    // A query from nowhere meets nothing.
+    // An invalid query meets no occluder.
     if within_reason(query.xyz) && is_finite(query.w) {
         seen = measure(gaussian_ix, query);
     }

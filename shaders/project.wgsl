@@ -1,9 +1,9 @@
-// Projects Gaussians to splats (docs/MODEL.md section 2), counts the tiles each reaches and gives it its sorting key.
+// Projects Gaussians to splats (docs/MODEL.md, section 2), counts the tiles of each and computes its sort key.
 // A thread owns one Gaussian. Workgroup memory holds two counters, so that a workgroup adds to the global counts once.
 //
-// The determinant of the screen covariance M M^T is the squared length of the cross product of M's rows: for needles
-// `xx yy - xy^2` would be the difference of two large numbers, for which there is no f64 here. With the low-pass lp
-// added to xx and yy it grows by lp (xx + yy) + lp^2, a sum of positive terms.
+// The determinant of the screen covariance M M^T is computed as the squared length of the cross product of M's rows: for
+// needles `xx yy - xy^2` would be the difference of two large numbers, and WGSL has no f64. The low-pass lp, added to xx and
+// yy, adds lp (xx + yy) + lp^2, a sum of positive terms.
 #import finite
 #import index
 #import generated/parameters
@@ -18,7 +18,7 @@ const WG_SIZE = 256u;
 @group(0) @binding(3) var<storage, read_write> splats: array<Splat>;
 @group(0) @binding(4) var<storage, read_write> depth_keys: array<u32>;
 @group(0) @binding(5) var<storage, read_write> gaussians: array<u32>;
-// Visible Gaussians; tile instances, low and high word.
+// Number of visible Gaussians; number of tile instances, low and high word.
 @group(0) @binding(6) var<storage, read_write> counts: array<atomic<u32>, 3>;
 
 var<workgroup> sh_n_visible: atomic<u32>;
@@ -60,7 +60,7 @@ fn project(gaussian_ix: u32) -> Splat {
     let to_y = derivative.y * camera.rotation[1].xyz - derivative.y * ratio.y * camera.rotation[2].xyz;
     let scale = exp(clamp(log_scale, vec3f(-LOG_SCALE_LIMIT), vec3f(LOG_SCALE_LIMIT)));
     let axes = rotation_of(quaternion);
-    // The three scaled axes on screen: squares of them cannot turn negative.
+    // The three scaled axes on screen. Sums of their squares cannot become negative.
     let x = scale * vec3f(dot(to_x, axes[0]), dot(to_x, axes[1]), dot(to_x, axes[2]));
     let y = scale * vec3f(dot(to_y, axes[0]), dot(to_y, axes[1]), dot(to_y, axes[2]));
     let raw = vec3f(dot(x, x), dot(x, y), dot(y, y));
@@ -87,7 +87,7 @@ fn project(gaussian_ix: u32) -> Splat {
         return invisible();
     }
     s.mean = camera.focal * (at_camera.xy / at_camera.z) + camera.centre_px;
-    // Beyond this no pixel is anywhere near, and the way back would overflow.
+    // A mean beyond this distance reaches no pixel, and the backward pass would overflow.
     if !(abs(s.mean.x) < MAX_PIXEL_DISTANCE && abs(s.mean.y) < MAX_PIXEL_DISTANCE) {
         return invisible();
     }
@@ -106,10 +106,10 @@ fn project(gaussian_ix: u32) -> Splat {
     return s;
 }
 
-// Orders Gaussians by depth: the bits of the part of depth that differs between them, r_3 . x. To a camera far away all
-// of a model has the same depth but for the last digits; this has all of its own.
+// Key that orders Gaussians by depth: the bits of r_3 . x, the part of depth that differs between Gaussians. For a far-away
+// camera the depths of a model differ in their last digits only; this part keeps all digits.
 fn depth_key(mean: vec3f) -> u32 {
-    // Positive floats order like their bits, negative ones the other way; -0 goes with 0.
+    // Positive floats have the order of their bits, negative ones the reverse order; -0 equals 0.
     let bits = bitcast<u32>(dot(camera.rotation[2].xyz, mean));
     let positive = bits < 0x80000000u || bits == 0x80000000u;
     return select(~bits, (bits & 0x7fffffffu) | 0x80000000u, positive);
@@ -143,7 +143,7 @@ fn main(
         atomicAdd(&counts[0], atomicLoad(&sh_n_visible));
         let more = atomicLoad(&sh_n_instances);
         let before = atomicAdd(&counts[1], more);
-        // The sum wrapped: carry.
+        // The sum wrapped around: carry.
         if before + more < before {
             atomicAdd(&counts[2], 1u);
         }

@@ -1,4 +1,5 @@
-// The radiance branch alone over the background, for passes without material. A thread owns a pixel; no workgroup memory.
+// The radiance branch alone over the background, for passes without material. A thread owns a pixel. No workgroup
+// memory.
 const WG_SIZE = 256u;
 #import index
 #import composite

@@ -1,5 +1,5 @@
-// Gradient of the first group of the G-buffer (GEOMETRY: also normal and plane) from those of the radiance
-// image and of the buffers. A thread owns a pixel; no workgroup memory.
+// Gradient of the first group of the G-buffer (GEOMETRY: also normal and plane) from the gradients of the radiance image and
+// of the buffers. A thread owns a pixel. No workgroup memory.
 const WG_SIZE = 256u;
 #import index
 #import composite

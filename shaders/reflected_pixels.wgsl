@@ -1,5 +1,5 @@
-// What the surface of each pixel sends of one small light that nothing hides, times coverage: the sum, and the specular part.
-// A thread owns a pixel; no workgroup memory.
+// Reflection of one unoccluded small light by the surface of each pixel, times coverage: the sum, and the specular part. A
+// thread owns a pixel. No workgroup memory.
 #import index
 #import pixel_reflector
 #import sharp_light

@@ -1,5 +1,5 @@
-// What each Gaussian sends of one small light that nothing hides, in rows of two groups to be blended: 1 and the sum, 0 and the
-// specular part. A thread owns a Gaussian; no workgroup memory.
+// Reflection of one unoccluded small light by each Gaussian, in rows of two groups for blending: 1 and the sum, 0 and the
+// specular part. A thread owns a Gaussian. No workgroup memory.
 #import index
 #import generated/channels
 #import generated/parameters

@@ -1,16 +1,16 @@
-// Turns a G-buffer into the planes asked for, one after another in one buffer, each pixel by pixel with its own number of
-// channels (src/render/renderer.rs). A thread owns a pixel; no workgroup memory. Planes are written as bits, because
-// infinity, the depth where nothing is, cannot be spelled as a float here.
+// Converts a G-buffer to the requested planes, one after another in one buffer, each pixel by pixel with its own number of
+// channels: the port of crates/engine/src/cpu/resolve.rs. A thread owns a pixel. No workgroup memory. Planes are written as
+// bits, because WGSL has no literal for infinity, the depth of an empty pixel.
 #import shading
 #import pixel_surface
 
-// Kept in step with `ResolveUniform` of src/engine/gpu/resolve/mod.rs.
+// Kept in step with `ResolveUniform` of crates/engine/src/gpu/resolve/mod.rs.
 struct Resolve {
     // First float of each plane, or UNWANTED; the last member of the last row is unused.
     first: array<vec4u, 3>,
-    // Model to capture units.
+    // Factor from model to capture units.
     depth_scale: f32,
-    // Where light comes from: LIGHT_SHADED, and LIGHT_SENT.
+    // Sources of light, as bits: LIGHT_SHADED, LIGHT_SENT.
     light: u32,
     pad_a: u32,
     pad_b: u32,
@@ -19,16 +19,16 @@ struct Resolve {
 @group(0) @binding(6) var<uniform> wanted: Resolve;
 @group(0) @binding(7) var<storage, read> gbuffer: array<vec4f>;
 @group(0) @binding(8) var<storage, read_write> planes: array<u32>;
-// Diffuse and specular part of what was asked for along rays, times coverage; read with LIGHT_SENT alone.
+// Diffuse and specular radiance traced along rays, times coverage; read only with LIGHT_SENT.
 @group(0) @binding(9) var<storage, read> sent: array<vec4f>;
 
 const UNWANTED = 0xffffffffu;
-// From the tables, at Gaussians or here.
+// Light from the tables, shaded at Gaussians or here.
 const LIGHT_SHADED = 1u;
-// From `sent`.
+// Light from `sent`.
 const LIGHT_SENT = 2u;
 const INFINITY_BITS = 0x7f800000u;
-// `Output` of src/engine/frame.rs.
+// `Output` of crates/scene/src/output.rs.
 const RGB = 0u;
 const ALBEDO = 1u;
 const NORMAL = 2u;
@@ -79,13 +79,13 @@ fn put_nothing(pixel_ix: u32) {
     put_rgb(RADIANCE, pixel_ix, vec3f(0.0));
 }
 
-// What a pixel sends, times coverage.
+// Radiance of a pixel, times coverage.
 struct Light {
     diffuse: vec3f,
     specular: vec3f,
 }
 
-// From the tables. Of Gaussians that were shaded before they were blended, the G-buffer has the radiance.
+// Light from the tables. For Gaussians shaded before blending, the G-buffer already has the radiance.
 fn shaded_light(s: ptr<function, Surface>, pixel_ix: u32, coverage: f32) -> Light {
     if shading.shade_at == SHADE_AT_PIXEL {
         let f = shade(s);

@@ -1,4 +1,4 @@
-// Adds to each prefix the sum of all blocks before its own. A thread owns one element; no workgroup memory.
+// Adds to each prefix the sum of all blocks before its own. A thread owns one element. No workgroup memory.
 #import generated/kernels
 #import index
 

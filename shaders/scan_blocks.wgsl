@@ -1,7 +1,7 @@
 // Exclusive prefix sums inside blocks of 1024 elements, and the total of each block.
 // A thread owns four consecutive elements and one prefix; a workgroup owns a block. Workgroup memory holds one partial
-// sum a thread (2 KiB). Elements past the input count as zero, so an output one longer than its input ends with the
-// grand total.
+// sum per thread (2 KiB). Elements past the input count as zero, so an output one longer than its input ends with the
+// total.
 #import generated/kernels
 #import index
 #import workgroup_scan
@@ -10,7 +10,7 @@ const WG_SIZE = 256u;
 const PER_THREAD = SCAN_BLOCK / WG_SIZE;
 
 struct ScanSize {
-    // Elements read and elements written, the latter at least the former.
+    // Number of elements read; the next member is the number written, which is not smaller.
     n_in: u32,
     n_out: u32,
     pad_a: u32,
@@ -37,7 +37,7 @@ fn main(
 ) {
     let block_ix = workgroup_ix(wid, n_wg);
     let n_blocks = (size.n_out + WG_SIZE * PER_THREAD - 1u) / (WG_SIZE * PER_THREAD);
-    // Workgroups beyond the last block, of a folded dispatch, only take part in the barriers.
+    // In a folded dispatch, workgroups beyond the last block only take part in the barriers.
     let first_ix = min(block_ix, n_blocks) * WG_SIZE * PER_THREAD + local_ix * PER_THREAD;
     let own = vec4u(value_at(first_ix), value_at(first_ix + 1u), value_at(first_ix + 2u), value_at(first_ix + 3u));
     let scan = scan_workgroup(local_ix, own.x + own.y + own.z + own.w);

@@ -1,5 +1,5 @@
-// Adds 1 to one sum per invocation and writes its index: proves on a device that dispatches, their folding and float
-// accumulation work before anything is built on them. A thread owns one element of `seen`; no workgroup memory.
+// Adds 1 to one sum per invocation and writes its index. Tests that dispatches, their folding and float accumulation work on a
+// device before it is used. A thread owns one element of `seen`. No workgroup memory.
 const WG_SIZE = 256u;
 #import index
 

@@ -1,5 +1,5 @@
-// G-buffer to the images of both branches, composited over the background. A thread owns a pixel; workgroups are squares
-// of 16 x 16, whose pixels look up neighbouring table nodes. No workgroup memory.
+// G-buffer to the images of both branches, composited over the background. A thread owns a pixel. A
+// workgroup is a square of 16 x 16 pixels, which look up neighbouring table nodes. No workgroup memory.
 #import shading
 #import pixel_surface
 

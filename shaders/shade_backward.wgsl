@@ -1,7 +1,7 @@
-// Gradients of the G-buffer and of the light tables from those of both images and of the buffers. A thread owns a pixel of
-// a 16 x 16 square: it writes BY_GROUPS groups of its G-buffer gradient (4: Material; all with ALL_CHANNELS).
+// Gradients of the G-buffer and of the light tables from the gradients of both images and of the buffers. A thread owns a
+// pixel of a 16 x 16 square and writes BY_GROUPS groups of its G-buffer gradient (4: Material; all with ALL_CHANNELS).
 //
-// What pixels add to the tables goes by shared/table_shares.wgsl: the diffuse table, then the two specular levels.
+// shared/table_shares.wgsl adds the pixels' gradients of the tables: the diffuse table, then the two specular levels.
 const WG_SIZE = 256u;
 #import shading_backward
 #import pixel_surface
@@ -15,7 +15,7 @@ const WG_SIZE = 256u;
 @group(0) @binding(10) var<storage, read_write> by_gbuffer: array<vec4f>;
 @group(0) @binding(11) var<storage, read_write> by_tables: array<accumulator>;
 
-// The pixel that the square begins with.
+// The first pixel of the square.
 var<private> origin: vec2u;
 
 // Group `quad` of the visibility of thread `local_ix` of the square.
@@ -24,7 +24,7 @@ fn member_visibility(local_ix: u32, quad: u32) -> vec4f {
     return pixel_visibility(pixel.y * camera.size.x + pixel.x, quad, sh_by[local_ix].w);
 }
 
-// Writes one pixel's G-buffer gradient; what it adds to the tables.
+// Writes one pixel's G-buffer gradient; returns its shares of the gradient of the tables.
 fn pixel_backward(pixel: vec2u) -> Shares {
     var shares = no_shares();
     let n = camera.n_pixels;

@@ -1,6 +1,5 @@
-// Both branches of a pass whose Gaussians were shaded before they were blended, composited over the background: what was
-// blended is radiance.
-// A thread owns a pixel; no workgroup memory.
+// Both branches of a pass whose Gaussians were shaded before blending, composited over the background. The G-buffer holds
+// radiance. A thread owns a pixel. No workgroup memory.
 const WG_SIZE = 256u;
 #import generated/channels
 #import index
@@ -8,7 +7,7 @@ const WG_SIZE = 256u;
 #import display
 
 @group(0) @binding(0) var<uniform> composite: Composite;
-// Groups of material, or more.
+// The groups up to material, or more.
 @group(0) @binding(1) var<storage, read> gbuffer: array<vec4f>;
 @group(0) @binding(2) var<storage, read_write> physical: array<vec4f>;
 @group(0) @binding(3) var<storage, read_write> radiance: array<vec4f>;

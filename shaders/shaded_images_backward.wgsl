@@ -1,6 +1,6 @@
-// Gradients of the G-buffer of a pass whose Gaussians were shaded before they were blended, from those of both images
-// (shaded_images.wgsl) and of the buffers. A thread owns
-// a pixel: it writes all n_groups groups, zeros beyond material. No workgroup memory.
+// Gradients of the G-buffer of a pass whose Gaussians were shaded before blending, from the gradients of both images
+// (shaded_images.wgsl) and of the buffers. A thread owns a pixel and writes all n_groups groups, zeros beyond material. No
+// workgroup memory.
 const WG_SIZE = 256u;
 #import generated/channels
 #import index

@@ -1,5 +1,5 @@
-// Adds what each pixel sends of one small light, with the share of it that arrives: the mean over rays from places within the
-// pixel to places of the light (src/render/direct.rs). A thread owns a pixel; no workgroup memory.
+// Adds each pixel's reflection of one small light, weighted by its arriving share: the mean over rays from points within the
+// pixel to points of the light. A thread owns a pixel. No workgroup memory.
 #import camera
 #import generated/channels
 #import generated/surface_point
@@ -11,15 +11,15 @@
 @group(0) @binding(2) var<uniform> rules: RayRules;
 @group(0) @binding(3) var<storage, read> gbuffer: array<vec4f>;
 @group(0) @binding(4) var<storage, read> depths: array<f32>;
-// As blended: 1 and the sum, 0 and the specular part.
+// Blended reflection: coverage and the sum, 0 and the specular part.
 @group(0) @binding(5) var<storage, read> reflected: array<vec4f>;
 @group(0) @binding(6) var<storage, read> nodes: array<vec4u>;
 @group(0) @binding(7) var<storage, read> members: array<vec4f>;
-// Diffuse and specular part of all lights, times coverage.
+// Diffuse and specular radiance of all lights, times coverage.
 @group(0) @binding(8) var<storage, read_write> direct: array<vec4f>;
 
-// The world point that a place of the image sees, a little before it: on the plane of the pixel's mean where that is near the
-// surface at depth `seen`.
+// The world point for an image position, slightly in front of the surface: on the pixel's mean plane where that is near the
+// surface at depth `seen`, else at depth `seen`.
 fn point_at(place: vec2f, seen: f32, plane: vec4f, lift: vec3f) -> vec3f {
     let uv = (place - camera.centre_px) / camera.focal;
     let ray = to_world(camera, vec3f(uv, 1.0));

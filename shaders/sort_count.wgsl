@@ -1,7 +1,6 @@
-// How often each digit occurs in each block of 2048 keys, as `counts[digit * n_blocks + block]`, so that an exclusive
-// prefix sum over `counts` is where each block's share of each digit goes.
-// A workgroup owns a block, a thread eight keys (strided: reads are coalesced). Workgroup memory holds the 256 counters,
-// added to atomically.
+// Number of keys with each digit in each block of 2048 keys, as `counts[digit * n_blocks + block]`. An exclusive prefix sum
+// over `counts` is the position of each block's share of each digit. A workgroup owns a block, a thread eight keys (strided, so
+// that reads are coalesced). Workgroup memory holds the 256 counters, which are incremented atomically.
 #import index
 #import radix
 

@@ -1,11 +1,12 @@
-// Moves the pairs of a block of 2048 to their places by one digit of up to 8 bits, keeping the order of equal digits.
+// Moves the pairs of a block of 2048 to their sorted positions by one digit of up to 8 bits, keeping the order of equal
+// digits.
 //
-// A workgroup owns a block. It sorts it in workgroup memory by the digit, four bits at a time, and then writes it out in
+// A workgroup owns a block. It sorts the block in workgroup memory by the digit, four bits at a time, and then writes it in
 // sorted order, so that neighbouring threads write neighbouring addresses wherever a digit occurs more than once.
 // A four-bit step needs each pair's rank: a thread counts the digits of its eight consecutive pairs in its own column of
-// `sh_rank`, two 16-bit counters a word (digits d and d + 8), digit-major; one prefix sum over all 2048 words in that
-// order is then the place of the first pair of each (digit, thread), lower halves first. That costs a single scan over
-// the threads for all sixteen digits. Workgroup memory: pairs 16 KiB, ranks 8 KiB, scan 2 KiB, digit starts 1 KiB.
+// `sh_rank`, two 16-bit counters per word (digits d and d + 8), digit-major. A prefix sum over all 2048 words in that order
+// is the position of the first pair of each (digit, thread), lower halves first. This needs one scan over the threads for all
+// sixteen digits. Workgroup memory: pairs 16 KiB, ranks 8 KiB, scan 2 KiB, digit starts 1 KiB.
 #import index
 #import workgroup_scan
 #import radix
@@ -13,7 +14,7 @@
 @group(0) @binding(0) var<uniform> sort: SortPass;
 @group(0) @binding(1) var<storage, read> keys: array<u32>;
 @group(0) @binding(2) var<storage, read> values: array<u32>;
-// First place of each (digit, block), as `sort_count` numbers them.
+// First position of each (digit, block), in the order of `sort_count`.
 @group(0) @binding(3) var<storage, read> places: array<u32>;
 @group(0) @binding(4) var<storage, read> limit: array<u32>;
 @group(0) @binding(5) var<storage, read_write> sorted_keys: array<u32>;
@@ -29,7 +30,7 @@ fn sort_step(local_ix: u32, step_shift: u32) {
 #repeat k 8
     sh_rank[$ku * WG_SIZE + local_ix] = 0u;
 #end
-    // The columns are each thread's own: no barrier is needed before they are used.
+    // Each thread uses its own column only, so no barrier is needed.
 #repeat k 8
     let key_$k = sh_key[local_ix * PER_THREAD + $ku];
     let value_$k = sh_value[local_ix * PER_THREAD + $ku];
@@ -77,13 +78,13 @@ fn main(
     let block_ix = min(workgroup_ix(wid, n_wg), sort.n_blocks);
     let first_ix = block_ix * SORT_BLOCK;
     let n = min(sort.n, limit[0]);
-    // The whole workgroup has nothing to move.
+    // The whole workgroup has no pair.
     if first_ix >= n {
         return;
     }
     for (var k = 0u; k < PER_THREAD; k++) {
         let at = k * WG_SIZE + local_ix;
-        // Filling has the last digit and comes last: it stays behind the true pairs.
+        // Padding has the last digit and comes last, after the real pairs.
         var key = 0xffffffffu;
         var value = 0u;
         if first_ix + at < n {

@@ -1,9 +1,9 @@
-// Structural similarity of an image and a photograph (Eq. 30): sums of SSIM, absolute and squared error, and the partial
+// SSIM of an image and a photograph (Eq. 30): sums of SSIM, absolute and squared error, and the partial
 // derivatives of -ssim * scale * SSIM by the three window statistics that depend on the image.
 //
-// A thread owns a pixel of a 16 x 16 square. Workgroup memory holds one channel of both pictures with the window's border
-// (5 KiB) and its five statistics blurred across (8 KiB): both passes of the separable window stay on the chip. One
-// channel after the other, because three at once would halve the workgroups that fit.
+// A thread owns a pixel of a 16 x 16 square. Workgroup memory holds one channel of both images with the window's border
+// (5 KiB) and its five statistics blurred along rows (8 KiB), so that both passes of the separable window stay on the chip.
+// Channels run one after another, because three at once would halve the number of resident workgroups.
 const WG_SIZE = 256u;
 #import photo
 #import ssim_window
@@ -13,13 +13,13 @@ const WG_SIZE = 256u;
 @group(0) @binding(0) var<uniform> term: ImageTerm;
 @group(0) @binding(1) var<storage, read> image: array<vec4f>;
 @group(0) @binding(2) var<storage, read> photo: array<vec2u>;
-// `[channel][pixel]`: by mean, by mean square and by mean product; w unused.
+// `[channel][pixel]`: derivatives by mean, by mean square and by mean product; w unused.
 @group(0) @binding(3) var<storage, read_write> partials: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> losses: array<accumulator>;
 
 // Image and photograph.
 var<workgroup> sh_pair: array<vec2f, N_WIDE>;
-// Blurred across: image, photograph; their squares; their product.
+// Blurred along rows: image, photograph; their squares; their product.
 var<workgroup> sh_means: array<vec2f, N_ACROSS>;
 var<workgroup> sh_squares: array<vec2f, N_ACROSS>;
 var<workgroup> sh_products: array<f32, N_ACROSS>;

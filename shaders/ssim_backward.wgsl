@@ -1,8 +1,8 @@
-// Gradient of the image term by pixel: the partial derivatives of ssim.wgsl spread by the window, which is its own
+// Gradient of the image term per pixel: the partial derivatives of ssim.wgsl convolved with the window, which is its own
 // transpose, and the sign of the error.
 //
 // A thread owns a pixel of a 16 x 16 square. Workgroup memory holds one channel of the partial derivatives with the
-// window's border (11 KiB) and blurred across (7 KiB).
+// window's border (11 KiB) and blurred along rows (7 KiB).
 const WG_SIZE = 256u;
 #import photo
 #import ssim_window

@@ -1,12 +1,12 @@
-// Camera depth of the surface that each pixel sees: on the plane of the Gaussian that brings coverage to half of what the pixel
-// has (src/engine/cpu/point.rs). A thread owns a pixel; no workgroup memory: the threads of a tile read the same splats.
+// Camera depth of the surface that each pixel sees, on the plane of the Gaussian at which coverage reaches half of the pixel's
+// (crates/engine/src/cpu/point.rs). A thread owns a pixel. No workgroup memory: the threads of a tile read the same splats.
 #import alpha
 #import camera
 #import generated/channels
 #import generated/surface_point
 
 struct Rows {
-    // Groups of a row of attributes.
+    // Groups per attribute row.
     groups: u32,
     pad_a: u32,
     pad_b: u32,

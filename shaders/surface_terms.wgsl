@@ -1,9 +1,9 @@
-// Terms on the buffers (docs/MODEL.md section 5): coverage against the mask, depth-normal consistency and edge-aware
-// smoothness, values and gradients (src/train/objective/geometry.rs). A thread owns a pixel and gathers: it evaluates the
-// terms of its neighbours that reach it again, so that nothing is added to memory but three sums a workgroup. Workgroup
-// memory holds those sums.
+// Terms on the buffers (docs/MODEL.md, section 5): coverage against the mask, depth-normal consistency and edge-aware
+// smoothness, values and gradients (crates/engine/src/cpu/objective/geometry.rs). A thread owns a pixel and evaluates the
+// terms of its neighbours that depend on it again, so that a workgroup adds only three sums to memory. Workgroup memory holds
+// those sums.
 //
-// Gradient by the buffers, two vec4 a pixel, planar: (normal xyz, plane distance), then (coverage, metalness, roughness).
+// Gradient by the buffers, two vec4 per pixel, planar: (normal xyz, plane distance), then (coverage, metalness, roughness).
 // GEOMETRY: the pass has normals and plane distances. MATERIAL: also metalness and roughness.
 const WG_SIZE = 256u;
 #import photo
@@ -15,21 +15,22 @@ const WG_SIZE = 256u;
 #import generated/slots
 #import reduce
 
-// Kept in step with `SurfaceTermsUniform` of src/engine/gpu/losses.rs. Weights are divided by what their mean runs over.
+// Kept in step with `SurfaceTermsUniform` of crates/engine/src/gpu/objective/mod.rs. Weights are divided by the number
+// of terms of their mean.
 struct SurfaceTerms {
     coverage: f32,
     depth_normal: f32,
-    // One over the pairs of neighbours across, and down.
+    // 1 / number of horizontal neighbour pairs; the next member is the same for vertical pairs.
     across: f32,
     down: f32,
-    // Weights of smoothness: metalness, roughness, a channel of the normal, unused.
+    // Weights of smoothness: metalness, roughness, each channel of the normal, unused.
     smoothness: vec4f,
 }
 
 @group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> weights: SurfaceTerms;
 @group(0) @binding(2) var<storage, read> gbuffer: array<vec4f>;
-// rgb and mask.
+// Photograph: rgb and mask.
 @group(0) @binding(3) var<storage, read> photo: array<vec2u>;
 @group(0) @binding(4) var<storage, read_write> by_buffers: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> losses: array<accumulator>;
@@ -52,7 +53,7 @@ fn plane_at(pixel: vec2u) -> vec4f {
     return gbuffer[NORMAL_GROUP * camera.n_pixels + pixel_ix_of(pixel)];
 }
 
-// Where a pixel's plane is hit: `t = D / (N . ray)` along the unnormalised ray, or 0.
+// Depth of the pixel's plane: `t = D / (N . ray)` along the unnormalised ray, or 0.
 fn plane_depth(pixel: vec2u, ray: vec3f) -> f32 {
     if channel_coverage(gbuffer[pixel_ix_of(pixel)]) < TRUSTED_COVERAGE {
         return 0.0;
@@ -113,7 +114,7 @@ fn consistency(pixel: vec2u) -> Consistency {
     return out;
 }
 
-// Adds the depth-normal term's gradient at `pixel`; its value.
+// Adds the depth-normal term's gradient at `pixel`; returns its value.
 fn add_consistency(pixel: vec2u, out: ptr<function, BufferGradient>) -> f32 {
     let own = consistency(pixel);
     (*out).coverage += own.by_coverage;
@@ -136,7 +137,7 @@ fn add_consistency(pixel: vec2u, out: ptr<function, BufferGradient>) -> f32 {
 #endif
 
 #ifdef MATERIAL
-// Normal, metalness and roughness divided by coverage; zero where nothing is.
+// Normal, metalness and roughness divided by coverage; zero in empty pixels.
 struct Attributes {
     normal: vec3f,
     material: vec2f,
@@ -157,7 +158,7 @@ fn attributes_at(pixel_ix: u32) -> Attributes {
     );
 }
 
-// One pair's gradient by this pixel's attributes (normal, metalness, roughness); its value in `loss`.
+// One pair's gradient by this pixel's attributes (normal, metalness, roughness); `loss` is its value.
 struct PairGradient {
     normal: vec3f,
     material: vec2f,
@@ -176,7 +177,7 @@ fn pair_term(own_ix: u32, own: Attributes, other_ix: u32, scale: f32) -> PairGra
     return PairGradient(derivative_normal, derivative_material, loss);
 }
 
-// Adds the smoothness term's gradient at `pixel`; the value of its pairs to the right and down.
+// Adds the smoothness term's gradient at `pixel`; returns the value of its pairs to the right and below.
 fn add_smoothness(pixel: vec2u, out: ptr<function, BufferGradient>) -> f32 {
     let own_ix = pixel_ix_of(pixel);
     let own = attributes_at(own_ix);
@@ -207,7 +208,7 @@ fn add_smoothness(pixel: vec2u, out: ptr<function, BufferGradient>) -> f32 {
 }
 #endif
 
-// Gradients of one pixel; the values of its terms in the order of the slots.
+// Computes the gradients of one pixel; returns the values of its terms in the order of the slots.
 fn pixel_terms(pixel: vec2u) -> vec4f {
     let pixel_ix = pixel_ix_of(pixel);
     var out: BufferGradient;

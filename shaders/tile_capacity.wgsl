@@ -1,4 +1,4 @@
-// How many instances of a view are listed: all of them, or as many as there is memory for. One thread.
+// Number of listed instances of a view: all of them, or as many as the memory holds. One thread runs.
 
 struct TileCapacity {
     n_instances: u32,
@@ -8,10 +8,10 @@ struct TileCapacity {
 }
 
 @group(0) @binding(0) var<uniform> capacity: TileCapacity;
-// Visible Gaussians; low and high half of the number of instances.
+// Number of visible Gaussians; number of instances, low and high word.
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
-// Instances listed; 1 once a view had more, until the host clears it; low and high half of the number of this view; its visible
-// Gaussians.
+// Number of listed instances; 1 after a view with more instances than memory, until the host clears it; instances of this
+// view, low and high word; its visible Gaussians.
 @group(0) @binding(2) var<storage, read_write> list_status: array<u32>;
 
 @compute @workgroup_size(1)

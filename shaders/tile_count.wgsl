@@ -1,4 +1,4 @@
-// Tiles of each Gaussian in depth order. A thread owns one rank; no workgroup memory.
+// Number of tiles of each Gaussian in depth order. A thread owns one rank. No workgroup memory.
 #import index
 #import splat
 

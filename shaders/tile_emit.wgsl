@@ -1,13 +1,13 @@
-// Writes one (tile, Gaussian) pair for each tile a splat reaches, splats in depth order.
-// A thread owns one rank and the instances that were counted for it: it never writes past them, and fills what it does
-// not use with the tile after the last, which nobody reads. No workgroup memory.
+// Writes one (tile, Gaussian) pair for each tile that a splat reaches, splats in depth order. A thread owns one rank and the
+// instances that were counted for it. It never writes past them, and fills unused ones with the index after the last tile,
+// which no kernel reads. No workgroup memory.
 #import index
 #import tiles
 
 const WG_SIZE = 256u;
 
 struct Emission {
-    // Gaussians, and instances there is memory for.
+    // Number of Gaussians; the next member is the number of instances that the memory holds.
     n: u32,
     n_instances: u32,
     pad_a: u32,

@@ -1,12 +1,12 @@
-// First slot of each tile in the sorted instances, as many as there is memory for and the device counted, and the end. A thread owns one tile and searches by halving: as many
-// steps for an empty tile as for a full one. No workgroup memory.
+// First slot of each tile in the sorted instances (those that were counted and that the memory holds), and the end. A thread
+// owns one tile and runs a binary search, which takes as many steps for an empty tile as for a full one. No workgroup memory.
 #import index
 
 const WG_SIZE = 256u;
 
 struct TileCounts {
     n_tiles: u32,
-    // Most instances.
+    // Maximum number of instances.
     n_instances: u32,
     pad_a: u32,
     pad_b: u32,

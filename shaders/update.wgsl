@@ -1,14 +1,14 @@
-// From the summed gradients of the splats to the parameters of the Gaussians: chain rules of projection and attributes,
-// terms of the objective on the parameters themselves, and Adam (or, under GRADIENTS, the gradients written out).
+// Updates the parameters of the Gaussians from the summed gradients of the splats: chain rules of projection and attributes,
+// terms of the objective on the parameters themselves, and Adam (under GRADIENTS, writes the gradients instead).
 //
-// A thread owns a Gaussian, on screen or not, and finds its gradients; a workgroup updates its own Gaussians' parameters
-// in place. Whatever a gradient needs of a field is read before that field is emitted.
-// Workgroup memory, 24 KiB: (1) Gradients of the wide fields (scores, indirect, radiance), N_STAGED values a Gaussian at a
-// time: its thread writes them, then neighbouring threads emit neighbouring elements, so that parameters and moments are
-// read and written a whole line at a time; rows are one longer than the workgroup, against bank conflicts. (2) Gradients of
-// what all Gaussians share (prototypes, basis of the learned indirect light) are outer products factor x derivative summed
-// over Gaussians; factors and derivatives lie there, a row is summed by 32 threads and costs three atomics a workgroup.
-// (3) The sums of the losses reuse it.
+// A thread owns a Gaussian, on screen or not, and computes its gradients. A workgroup updates its own Gaussians' parameters
+// in place. The values of a field that a gradient needs are read before that field is emitted.
+// Workgroup memory, 24 KiB: (1) Gradients of the wide fields (scores, indirect, radiance), N_STAGED values per Gaussian at a
+// time. The Gaussian's thread writes them; then neighbouring threads emit neighbouring elements, so that parameters and
+// moments are read and written in whole cache lines. Rows are one longer than the workgroup, against bank conflicts.
+// (2) Gradients of shared parameters (prototypes, basis of the learned indirect light) are outer products factor x derivative
+// summed over Gaussians. The memory holds factors and derivatives; 32 threads sum a row, with three atomics per workgroup.
+// (3) The sums of the losses reuse the memory.
 #import attributes
 #import index
 #import camera
@@ -23,26 +23,27 @@
 #import view_label
 
 const WG_SIZE = 256u;
-// Rows of an outer product summed at a time: as many threads a row as make up the workgroup.
+// Rows of an outer product summed at a time; the workgroup's threads are divided among them.
 const BLOCK = 8u;
 const LANES = 32u;
-// Values a Gaussian can stage, and the distance between rows of them. BLOCK factors, then BLOCK gradients; or harmonics.
+// Number of values that a Gaussian can stage (BLOCK factors, then BLOCK gradients; or harmonics), and the distance between
+// their rows.
 const N_STAGED = 16u;
 const STRIDE = 257u;
 
 struct Update {
-    // By field: rate over the correction of the first moment, root of the correction of the second.
+    // Per field: rate over the correction of the first moment, root of the correction of the second.
     rates: array<vec4f, N_FIELDS>,
-    // Groups of 4 channels in a row of splat gradients.
+    // Number of groups of 4 channels in a row of splat gradients.
     groups: u32,
     // Half the longer side of the image, pixels.
     half_width: f32,
-    // Weights of the terms over their number of Gaussians; 0 = off.
+    // Weights of the terms, divided by the number of Gaussians; 0: off.
     aggregation: f32,
     residual: f32,
     flatness: f32,
     probe_labels: f32,
-    // Weight alone: how many Gaussians have a label is known on the device.
+    // Weight, not divided: only the device knows the number of Gaussians with a label.
     view_labels: f32,
     pad: u32,
 }
@@ -59,14 +60,15 @@ struct Update {
 @group(0) @binding(7) var<storage, read> indirect_basis: array<f32>;
 @group(0) @binding(8) var<storage, read_write> basis_gradient: array<accumulator>;
 @group(0) @binding(9) var<storage, read> probe_labels: array<f32>;
-// By Gaussian: sum w That, sum w.
+// Per Gaussian: sum w That, sum w.
 @group(0) @binding(10) var<storage, read> view_labels: array<vec2f>;
 @group(0) @binding(11) var<storage, read> label_count: array<u32>;
 @group(0) @binding(12) var<storage, read_write> losses: array<accumulator>;
-// By Gaussian: sum of absgrad (blend_backward) in half image widths, steps on screen: the signal of density control.
+// Per Gaussian: sum of absgrad (blend_backward) in half image widths, and number of steps on screen: the signal of density
+// control.
 @group(0) @binding(13) var<storage, read_write> density: array<vec2f>;
 @group(0) @binding(14) var<storage, read_write> status: array<atomic<u32>>;
-// What the tile lists hold (tile_capacity.wgsl): when they were short, nothing is updated.
+// Status of the tile lists (tile_capacity.wgsl): if they were too short, nothing is updated.
 @group(0) @binding(15) var<storage, read> list_status: array<u32>;
 #ifdef GRADIENTS
 @group(0) @binding(16) var<storage, read> params: array<f32>;
@@ -84,15 +86,15 @@ var<workgroup> sh_partial: array<vec4f, 256>;
 
 // Derivative of the sigmoid.
 fn sigmoid_derivative(x: f32) -> f32 {
-    // Not s (1 - s): where s is nearly 1, 1 - s has no digits left.
+    // Not s (1 - s): where s is nearly 1, 1 - s loses its digits.
     return sigmoid(x) * sigmoid(-x);
 }
 
-// The gradient that reaches a Gaussian from the picture.
+// The gradient of a Gaussian from the image.
 struct Upstream {
-    // Projected; otherwise all gradients are zero and the row is not read.
+    // True when projected; otherwise all gradients are zero and the row is not read.
     visible: bool,
-    // Where its row starts.
+    // Start of its row.
     row: u32,
 }
 
@@ -124,12 +126,12 @@ fn normal_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f, geometry: ptr
     return by_sum;
 }
 
-// What the radiance coefficients' gradient is the product of.
+// Factors of the radiance coefficients' gradient.
 struct Radiance {
-    // By the colour where its clamp lets it through.
+    // Gradient by the colour where its clamp passes it.
     by_colour: vec3f,
     direction: vec3f,
-    // A Gaussian without gradient may have a direction that is not finite.
+    // False without a gradient; the direction may then be not finite.
     is_active: bool,
 }
 
@@ -173,7 +175,7 @@ fn emit_radiance(first_ix: u32, local_ix: u32, own: Radiance) {
     sh_derivative[local_ix] = vec4f(own.by_colour, 0.0);
     for (var coefficient = 0u; coefficient < model.n_radiance; coefficient += N_STAGED) {
         for (var term = sh_first(sh_degree_of(model.n_radiance), own.direction); sh_is_term(term); sh_next(&term)) {
-            // Below `coefficient` the difference wraps around and is large.
+            // Below `coefficient` the difference wraps around to a large number.
             let ix = sh_indices(term) - coefficient;
             let y = select(vec2f(0.0), sh_values(term), own.is_active);
             if ix.x < N_STAGED {
@@ -184,7 +186,7 @@ fn emit_radiance(first_ix: u32, local_ix: u32, own: Radiance) {
             }
         }
         workgroupBarrier();
-        // The owners' reads of the coefficients stay before the neighbours' writes.
+        // The owners read the coefficients before the neighbours write them.
         storageBarrier();
         let width = 3u * min(model.n_radiance - coefficient, N_STAGED);
         for (var at = local_ix; at < WG_SIZE * width; at += WG_SIZE) {
@@ -236,7 +238,7 @@ fn visibility_backward(gaussian_ix: u32, up: Upstream, to_mean: vec3f) -> f32 {
     return value;
 }
 
-// Gradient of score `k`, and the factor of prototype `k` in the Gaussian's albedo.
+// Gradient of score `k`, and the share of prototype `k` in the Gaussian's albedo.
 fn score_backward(m: Mixture, gaussian_ix: u32, up: Upstream, k: u32) -> vec2f {
     let p = share(m, gaussian_ix, k);
     var gradient = 0.0;
@@ -250,8 +252,9 @@ fn score_backward(m: Mixture, gaussian_ix: u32, up: Upstream, k: u32) -> vec2f {
     return vec2f(gradient, select(0.0, p, any(m.by_albedo != vec3f(0.0))));
 }
 
-// Sum over the workgroup of factor x derivative for this thread's row and channel, given factors and derivatives in workgroup
-// memory. Threads below 3 * BLOCK get it: row `local_ix / 3`, channel `local_ix % 3`. Between two barriers of the caller.
+// Sum over the workgroup of factor x derivative for this thread's row and channel, from factors and derivatives in workgroup
+// memory. Threads below 3 * BLOCK get the result: row `local_ix / 3`, channel `local_ix % 3`. The caller puts barriers before
+// and after.
 fn reduce_products(local_ix: u32) -> f32 {
     let row = local_ix / LANES;
     let lane = local_ix % LANES;
@@ -398,7 +401,7 @@ fn geometry_backward(gaussian_ix: u32, up: Upstream, radiance: ptr<function, Rad
     let labels = visibility_backward(gaussian_ix, up, to_mean);
     var flatness = 0.0;
     if update.flatness != 0.0 {
-        // The lowest axis on a tie, as the normal.
+        // The lowest axis on a tie, as for the normal.
         let s = log_scale;
         let axis = select(select(2u, 1u, s.y <= s.z), 0u, s.x <= s.y && s.x <= s.z);
         flatness = update.flatness * exp(min(s.x, min(s.y, s.z)));
@@ -423,7 +426,7 @@ fn reduce_losses(local_ix: u32, values: vec4f) {
         }
     }
     workgroupBarrier();
-    // The four slots follow each other.
+    // The four slots are consecutive.
     if local_ix < 4u {
         let total = sh_partial[0][local_ix];
         if total != 0.0 {

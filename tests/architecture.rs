@@ -133,7 +133,9 @@ fn a_missing_file_is_detected() {
         "See `store/sql.rs`, docs/MODEL.md, [it](MODEL.md) and blend.wgsl; photographs/cat.png is yours.";
     assert!(missing("docs/a.md", text).is_empty(), "{:?}", missing("docs/a.md", text));
     assert_eq!(missing("docs/a.md", "See `store/gone.rs`."), ["store/gone.rs"]);
-    assert_eq!(missing("src/a.rs", "// losses.wgsl\nlet x = \"other.wgsl\";"), ["losses.wgsl"]);
+    let comment = format!("{0}{0} losses.wgsl\nlet x = \"other.wgsl\";", '/');
+    assert_eq!(missing("src/a.rs", &comment), ["losses.wgsl"]);
+    assert!(missing("docs/a.md", "[up](../src/store/sql.rs), sql.rs.").is_empty());
     assert_eq!(missing("docs/a.md", "[there](docs/GONE.md)"), ["docs/GONE.md"]);
 }
 
@@ -209,7 +211,7 @@ fn named_files(path: &str, text: &str) -> BTreeSet<String> {
         lines.flat_map(|line| line.split(|c: char| !(c.is_ascii_alphanumeric() || "_./-".contains(c))));
     let ends =
         |word: &str| [".rs", ".wgsl", ".md"].iter().any(|end| word.ends_with(end) && word.len() > end.len());
-    words.map(|word| word.trim_matches('.')).filter(|word| ends(word)).map(str::to_owned).collect()
+    words.map(|word| word.trim_end_matches('.')).filter(|word| ends(word)).map(str::to_owned).collect()
 }
 
 /// Whether `name`, named in the file at `path`, is a file of the repository: by its whole path, by the end of it, or relative to

@@ -211,9 +211,9 @@ fn clip_becomes_photographs_or_gives_a_clear_error() {
 
     fs::remove_dir_all(place.at("walk.frames")).unwrap();
     place.program("ffprobe", "case $1 in -version) echo 'ffprobe version 3.4' ;; *) echo 10.0 ;; esac\n");
-    place.fails_with(&clip, true, &["`ffprobe` is of version 3", "at least 4"]);
+    place.fails_with(&clip, true, &["`ffprobe` has version 3", "at least 4"]);
     place.program("ffprobe", "case $1 in -version) ;; *) echo N/A ;; esac\n");
-    place.fails_with(&clip, true, &["walk.mp4", "no clip of a known length"]);
+    place.fails_with(&clip, true, &["walk.mp4", "not a video clip of known duration"]);
     place.program("ffprobe", "case $1 in -version) ;; *) echo 10.0 ;; esac\n");
     place.program("ffmpeg", "echo 'moov atom not found'; exit 1\n");
     place.fails_with(&clip, true, &["ffmpeg", "moov atom not found"]);

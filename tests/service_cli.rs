@@ -101,7 +101,7 @@ fn a_light_with_implausible_exposure_gives_a_warning() {
         let light = ["--set", "max_gaussians=64", "--light", "studio", "--light-exposure", exposure];
         let output = relume(at, &[&args, &light[..], &["--device", "cpu", "--out", "m"]].concat());
         assert!(output.status.success());
-        String::from_utf8_lossy(&output.stderr).contains("stops from where photographs show it")
+        String::from_utf8_lossy(&output.stderr).contains("stops from its usual level in photographs")
     };
     assert_eq!(["auto", "0", "3", "-4"].map(says), [false, false, true, true]);
 }
@@ -177,7 +177,7 @@ fn serve_refuses_open_network_access_and_weak_keys() {
     fails_with(folder.path(), &["serve", "--listen", "0.0.0.0:0", "--api-key", "short"], "16 characters");
     let serve = ["serve", "--listen", "127.0.0.1:0"];
     fails_with(folder.path(), &[&serve[..], &["--cors-origin", "*"]].concat(), "API key");
-    fails_with(folder.path(), &[&serve[..], &["--cors-origin", "app.example"]].concat(), "is no origin");
+    fails_with(folder.path(), &[&serve[..], &["--cors-origin", "app.example"]].concat(), "is not an origin");
     fails_with(folder.path(), &[&serve[..], &["--head-timeout", "0"]].concat(), "--head-timeout");
     fails_with(folder.path(), &[&serve[..], &["--max-disk", "5GB"]].concat(), "--max-disk");
     fails_with(folder.path(), &[&serve[..], &["--keep-jobs", "never"]].concat(), "--keep-jobs");

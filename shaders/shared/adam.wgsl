@@ -2,7 +2,7 @@
 #import generated/objective
 
 struct Adam {
-    // What to take off the parameter.
+    // Value to subtract from the parameter.
     step: f32,
     first: f32,
     second: f32,

@@ -1,14 +1,14 @@
 // Alpha of a splat at a pixel, the same in every kernel that blends (docs/MODEL.md Eq. 4).
 //
-// The exponent 0.5 d^T C d is taken as a sum of two squares (the Cholesky factor of C): for needles the terms of the
-// quadratic form cancel, and the sum of squares neither loses digits nor turns negative. With C = [a b; b c] it is
+// The exponent 0.5 d^T C d is computed as a sum of two squares (the Cholesky factor of C): for needles the terms of the
+// quadratic form cancel; the sum of squares keeps its digits and cannot become negative. With C = [a b; b c] it is
 // 0.5 ((sqrt(a) dx + b / sqrt(a) dy)^2 + dy^2 / yy), since c - b^2 / a = 1 / yy.
 #import splat
 
-// sqrt(0.5 log2(e)): squares come out as exponents of two.
+// sqrt(0.5 log2(e)), so that the squares are exponents of two.
 const TO_LOG2 = 0.849321800288019;
 
-// What a pixel needs of a splat, as two aligned vectors.
+// The values of a splat that a pixel needs, as two aligned vectors.
 struct Footprint {
     // Mean x, y; opacity; unused.
     place: vec4f,
@@ -31,12 +31,12 @@ fn alpha_at(f: Footprint, centre: vec2f) -> f32 {
     return select(0.0, alpha, alpha >= ALPHA_MIN);
 }
 
-// Alpha as it blends.
+// Alpha after the cap.
 fn capped(alpha: f32) -> f32 {
     return min(alpha, ALPHA_MAX);
 }
 
-// Where a pixel's blending ended.
+// The end of a pixel's blending.
 struct BlendEnd {
     // Transmittance behind the last splat that counted.
     transmittance: f32,

@@ -1,5 +1,5 @@
-// From a Gaussian's raw parameters to what is blended (docs/MODEL.md sections 1 and 3), for the forward kernel and its
-// way back. The including kernel declares the bindings `model: Layout`, `params: array<f32>` and
+// Attributes of a Gaussian from its raw parameters (docs/MODEL.md, sections 1 and 3), for the forward and the backward
+// kernel. The including kernel declares the bindings `model: Layout`, `params: array<f32>` and
 // `globals: array<f32>` (prototypes first).
 #import generated/parameters
 #import quaternion
@@ -10,7 +10,7 @@ struct Normal {
     unit: vec3f,
     // Length before normalisation, at least 1e-12.
     length: f32,
-    // Column of the rotation that was used, or NO_AXIS, and its sign.
+    // Column of the rotation that gave the normal, or NO_AXIS, and its sign.
     axis: u32,
     sign: f32,
 }
@@ -49,7 +49,7 @@ fn prototype(k: u32) -> vec3f {
     return vec3f(globals[3u * k], globals[3u * k + 1u], globals[3u * k + 2u]);
 }
 
-// What a softmax over the prototype scores needs: the largest score and the sum of exp(score - largest).
+// Scale of the softmax over the prototype scores: the largest score and the sum of exp(score - largest).
 fn mixture_scale(gaussian_ix: u32) -> vec2f {
     let first = model.scores + model.n_scores * gaussian_ix;
     var top = -3e38;

@@ -1,5 +1,6 @@
-// The split-sum table and the position between specular levels: src/light/{brdf,operators/mod}.rs. The importer binds the
-// tables of `gpu::light::Constants` as `constants`: 32 x 32 (scale, bias) by roughness and n.v, then the lobe rows.
+// The split-sum table (crates/scene/src/light/brdf.rs) and the position between specular levels
+// (crates/scene/src/light/operators/mod.rs). The importer binds the tables of `gpu::light::Constants` as `constants`: 32 x 32
+// (scale, bias) by roughness and n.v, then the lobe rows.
 #import generated/light
 
 const LUT_FLOATS = 2u * LUT_SIZE * LUT_SIZE;

@@ -1,4 +1,4 @@
-// A camera as the kernels want it. Kept in step with `CameraUniform` of src/engine/gpu/camera.rs.
+// A camera. Kept in step with `CameraUniform` of crates/engine/src/gpu/camera.rs.
 #import generated/projection
 
 struct Camera {
@@ -19,8 +19,8 @@ struct Camera {
     pad: u32,
 }
 
-// Camera coordinates of a world point: `R x + t`. Models lie around the origin, so this keeps the digits across the view
-// of a camera that is far away, where `R (x - centre)` would lose those of `x`.
+// Camera coordinates of a world point: `R x + t`. Models lie around the origin, so for a far-away camera this form keeps the
+// digits of `x` that `R (x - centre)` would lose.
 fn to_camera(camera: Camera, x: vec3f) -> vec3f {
     let turned = vec3f(dot(camera.rotation[0].xyz, x), dot(camera.rotation[1].xyz, x), dot(camera.rotation[2].xyz, x));
     return turned + vec3f(camera.rotation[0].w, camera.rotation[1].w, camera.rotation[2].w);

@@ -1,4 +1,4 @@
-// Bilinear look-up in a cube-shaped grid over directions, nodes on the cube's edges: src/light/grid.rs.
+// Bilinear look-up in a cube grid over directions, with nodes on the cube's edges: the port of crates/scene/src/light/grid.rs.
 
 // The four nodes around a direction, their weights, and the weights' gradients by the (not necessarily unit) direction.
 struct Taps {
@@ -14,7 +14,7 @@ struct GridCell {
 
 fn grid_cell(n: u32, half: f32, v: f32) -> GridCell {
     let x = (v + 1.0) * half;
-    // Written so that NaN ends in cell 0.
+    // NaN maps to cell 0.
     let inside = select(0.0, min(x, f32(n)), x > 0.0);
     let first = min(u32(inside), n - 2u);
     return GridCell(first, min(inside - f32(first), 1.0));
@@ -29,7 +29,7 @@ fn cube_taps(n: u32, d: vec3f) -> Taps {
     // (major, next, next but one), the cyclic order of the faces.
     let turned = select(select(d.zxy, d.yzx, y_major), d, x_major);
     let length = abs(turned.x);
-    // A null direction has no neighbours to move to.
+    // A zero direction has zero derivatives.
     let inverse = select(0.0, 1.0 / length, length > 1.17549435e-38);
     let s = turned.y * inverse;
     let t = turned.z * inverse;
@@ -43,7 +43,7 @@ fn cube_taps(n: u32, d: vec3f) -> Taps {
     let gs = 1.0 - fs;
     let gt = 1.0 - ft;
     let base = (face * n + down.first) * n + across.first;
-    // Derivatives of the two face coordinates by the turned direction, then turned back.
+    // Derivatives of the two face coordinates by the permuted direction, then permuted back.
     let derivative = half * inverse;
     let sign = select(1.0, -1.0, negative);
     let ds = turn_back(axis, vec3f(-s * derivative * sign, derivative, 0.0));

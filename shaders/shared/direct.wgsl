@@ -1,6 +1,6 @@
-// What a surface sends of the lights beside the tables: the port of src/engine/cpu/direct.rs, a part of `shading`.
+// Shading by the dominant lights: the port of crates/engine/src/cpu/direct.rs, a part of `shading`.
 
-// Least alpha = roughness^2 of a highlight.
+// Smallest alpha = roughness^2 of a highlight.
 const MIN_GGX_ALPHA = 1e-4;
 
 struct Direct {
@@ -57,7 +57,7 @@ fn highlight_of(s: ptr<function, Surface>, normal: vec3f, nov: f32, nol: f32, li
     return f;
 }
 
-// For the unit `normal` of a surface, turned to the camera.
+// Light of the dominant lights at a surface with unit `normal`, turned to the camera.
 fn direct(s: ptr<function, Surface>, normal: vec3f, nov: f32) -> Direct {
     var out = Direct(vec3f(0.0), vec3f(0.0));
     let f0 = DIELECTRIC_F0 * (1.0 - (*s).metal) + (*s).albedo * (*s).metal;

@@ -1,7 +1,7 @@
-// Chain rule through `direct` (src/engine/cpu/direct.rs), a part of `shading_backward`.
+// Chain rule through `direct` (crates/engine/src/cpu/direct.rs), a part of `shading_backward`.
 
-// Gradients by the unit normal (xyz) and by n.v (w), given those by irradiance and by specular radiance. What has a field in
-// `out` is added there; its view lacks what goes through n.v.
+// Gradients by the unit normal (xyz) and by n.v (w), given those by irradiance and by specular radiance. Gradients with a
+// field in `out` are added there; its `view` excludes the path through n.v.
 fn direct_backward(
     s: ptr<function, Surface>,
     normal: vec3f,
@@ -37,7 +37,7 @@ fn direct_backward(
     return sum;
 }
 
-// From the gradients by n.w, by the lobe and by Fresnel's part.
+// Chain rule from the gradients by n.w, by the lobe and by Fresnel's part.
 fn highlight_backward(
     f: Highlight,
     normal: vec3f,

@@ -1,8 +1,9 @@
-// From linear radiance to display and back: the port of `SurfaceShader::display` of src/engine/cpu/surface_shader.rs.
+// Linear radiance to display values, forward and backward: the port of `SurfaceShader::display` of
+// crates/engine/src/cpu/display.rs.
 #import generated/light
 #import srgb
 
-// Linear radiance to display; `is_srgb`: through the curve.
+// Linear radiance to display values; `is_srgb`: through the sRGB curve.
 fn display(linear: vec3f, is_srgb: bool) -> vec3f {
     let x = clamp(linear, vec3f(0.0), vec3f(1.0));
     return select(x, vec3f(srgb(x.x), srgb(x.y), srgb(x.z)), is_srgb);

@@ -1,10 +1,10 @@
-// Where update.wgsl's gradients go: Adam on the spot or, under GRADIENTS, out as they are. The including kernel declares its
-// bindings, what it stages and BLOCK, STRIDE and WG_SIZE.
+// Output of update.wgsl's gradients: an Adam step or, under GRADIENTS, the gradients themselves. The importing kernel declares
+// its bindings, the staged values and BLOCK, STRIDE and WG_SIZE.
 #import adam
 #import finite
 #import status
 
-// Whether anything happens to `field` when it is emitted.
+// True when emitting `field` has an effect.
 fn trains(field: u32) -> bool {
 #ifdef GRADIENTS
     return true;
@@ -13,7 +13,7 @@ fn trains(field: u32) -> bool {
 #endif
 }
 
-// The one place where a parameter's gradient goes.
+// Emits the gradient of one parameter.
 fn emit(element_ix: u32, gradient: f32, field: u32) {
 #ifdef GRADIENTS
     gradients[element_ix] = gradient;
@@ -42,8 +42,8 @@ fn emit3(element_ix: u32, gradient: vec3f, field: u32) {
     emit(element_ix + 2u, gradient.z, field);
 }
 
-// Emits BLOCK staged gradients, or `count` if fewer are left, of each Gaussian of the workgroup that starts at
-// `first_ix`; `start` is where Gaussian 0 has the first of them, `width` its field's width.
+// Emits `count` staged gradients, at most BLOCK, of each Gaussian of the workgroup that starts at `first_ix`. `start` is the
+// element of the first of them for Gaussian 0, `width` the width of the field.
 fn emit_block(first_ix: u32, local_ix: u32, start: u32, width: u32, count: u32, field: u32) {
     let n = min(count, BLOCK);
     for (var at = local_ix; at < WG_SIZE * n; at += WG_SIZE) {

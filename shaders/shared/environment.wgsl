@@ -1,4 +1,4 @@
-// The environment that trains. Kept in step with `EnvironmentUniform` of src/engine/gpu/light.rs.
+// The environment in training. Kept in step with `EnvironmentUniform` of crates/engine/src/gpu/light/training.rs.
 struct Environment {
     n_texels: u32,
     // First float of the texels among the globals.
@@ -7,16 +7,16 @@ struct Environment {
     neutrality: f32,
     exposure: f32,
     colour: f32,
-    // The colour that is asked for: logarithms of blue over red, and of green squared over red times blue.
+    // Target colour: logarithms of blue over red, and of green squared over red times blue.
     blue_over_red: f32,
     green: f32,
-    // Columns of the map, and how far they move along in the photograph: whole columns and the fraction of one.
+    // Columns of the map, and their shift in the photograph: whole columns and the fraction of one.
     width: u32,
     whole: u32,
     fraction: f32,
 }
 
-// The texel `columns` further in the row of `texel_ix`, counted round.
+// The texel `columns` further in the row of `texel_ix`, modulo the width.
 fn texel_beside(texel_ix: u32, columns: u32, width: u32) -> u32 {
     let x = texel_ix % width;
     return texel_ix - x + (x + columns) % width;

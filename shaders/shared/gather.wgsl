@@ -1,8 +1,8 @@
-// Sizes of a gathering of bounced light. Kept in step with `GatherSize` of src/engine/gpu/gather.rs.
+// Sizes of the gathering of light. Kept in step with `GatherSize` of crates/engine/src/gpu/gather/mod.rs.
 const WG_SIZE = 256u;
 
 struct GatherSize {
-    // Gaussians.
+    // Number of Gaussians.
     n: u32,
     n_directions: u32,
     // 4 pi / D.

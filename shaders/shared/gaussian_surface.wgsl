@@ -1,6 +1,6 @@
-// A Gaussian as a surface of its own: normal and material from its row of attributes, light from its parameters. The importer
-// binds `model`, `params`, `splats`, `attributes` (as vec4), and what `incoming` needs. With ALL_CHANNELS the rows are of all
-// channels, else of material.
+// A Gaussian as a surface: normal and material from its attribute row, light from its parameters. The importer binds `model`,
+// `params`, `splats`, `attributes` (as vec4), and the bindings of `incoming`. With ALL_CHANNELS the rows have all channels,
+// else those up to material.
 #import surface
 #import splat
 #import quaternion
@@ -12,7 +12,7 @@ const ROW_GROUPS = VISIBILITY_GROUP + N_QUADS;
 const ROW_GROUPS = GROUPS_MATERIAL;
 #endif
 
-// From the camera centre to the Gaussian's.
+// Vector from the camera centre to the Gaussian's centre.
 fn to_gaussian(gaussian_ix: u32) -> vec3f {
     let at = model.mean + 3u * gaussian_ix;
     return vec3f(params[at], params[at + 1u], params[at + 2u]) - camera.centre.xyz;

@@ -1,13 +1,12 @@
-// What is known of the light that reaches a Gaussian: how much of the environment it sees, and what others send to it. The
-// importer binds `model`, `params`, `gathered` (see `measured`; shorter where nothing was measured) and `indirect_basis` (E_j
-// of Eq. 20).
+// Light that reaches a Gaussian: its visibility of the environment, and the light of other Gaussians. The importer binds
+// `model`, `params`, `gathered` (see `measured`; shorter where nothing was measured) and `indirect_basis` (E_j of Eq. 20).
 #import generated/parameters
 #import measured
 
 struct IncidentLight {
     // Irradiance gathered from other surfaces.
     gathered: vec3f,
-    // Radiance from where the environment is blocked.
+    // Radiance from directions in which the environment is blocked.
     blocked: vec3f,
 }
 

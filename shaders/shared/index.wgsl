@@ -1,4 +1,4 @@
-// Linear indices out of dispatches that the host folds over the limit of 65,535 workgroups a dimension.
+// Linear indices of dispatches that the host folds because of the limit of 65,535 workgroups per dimension.
 
 // Index of this invocation, for workgroups of WG_SIZE x 1 x 1.
 fn invocation_ix(gid: vec3u, n_wg: vec3u) -> u32 {

@@ -1,12 +1,13 @@
-// The diffuse term of a surface, a pixel's or a Gaussian's: the port of src/engine/cpu/lambert.rs, a part of `shading`.
+// The diffuse term of a surface, in a pixel or at a Gaussian: the port of crates/engine/src/cpu/lambert.rs, a part of
+// `shading`.
 
-// A diffuse term and what its backward pass needs.
+// A diffuse term with the values that its backward pass needs.
 struct Lambert {
     radiance: vec3f,
     irradiance: vec3f,
-    // With what is gathered and what lights beside the tables send.
+    // Irradiance, including gathered light and dominant lights.
     incoming: vec3f,
-    // Before the clamp, and per tap.
+    // Irradiance before the clamp.
     irradiance_raw: vec3f,
     tap_irradiance: array<vec3f, 4>,
     taps: Taps,
@@ -14,7 +15,7 @@ struct Lambert {
     ambient_raw: f32,
 }
 
-// For the unit `normal` of a surface, turned to the camera, and the irradiance of lights beside the tables.
+// The diffuse term for the unit `normal` of a surface, turned to the camera, and the irradiance of the dominant lights.
 fn lambert(s: ptr<function, Surface>, normal: vec3f, of_lights: vec3f) -> Lambert {
     var f: Lambert;
     // Four tabulated normals around n.

@@ -1,4 +1,5 @@
-// How much the reflection lobe blurs each SH degree: src/light/lobe.rs. Reads `constants` behind the split-sum table.
+// Attenuation of each SH degree by the reflection lobe: the port of crates/scene/src/light/lobe.rs. Reads `constants` after the
+// split-sum table.
 #import generated/light
 
 struct LobeCell {

@@ -1,7 +1,7 @@
-// What is measured of the light of Gaussians. The importer binds `gathered`: irradiance, then mean blocked radiance, six floats
-// a Gaussian; behind those of all Gaussians the share of each light beside the tables that arrives, four floats a Gaussian.
+// Measured light of Gaussians. The importer binds `gathered`: six floats per Gaussian (irradiance, mean blocked radiance),
+// followed, after all Gaussians, by the arriving shares of the dominant lights, four floats per Gaussian.
 
-// Share of each light that arrives at a Gaussian of `n`; all of it where it was not measured.
+// Arriving share of each dominant light at one of `n` Gaussians; 1 where it was not measured.
 fn arriving_at(gaussian_ix: u32, n: u32) -> vec4f {
     let at = 6u * n + 4u * gaussian_ix;
     if at + 4u > arrayLength(&gathered) {

@@ -1,4 +1,4 @@
-// The BRDF of the surface behind a pixel of a full G-buffer, which the importer binds as `gbuffer`, for coverage >= MIN_COVERAGE.
+// The BRDF of the surface in a pixel of a full G-buffer, which the importer binds as `gbuffer`; for coverage >= MIN_COVERAGE.
 #import camera
 #import generated/channels
 #import reflector

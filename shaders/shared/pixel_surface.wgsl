@@ -1,14 +1,14 @@
-// The surface behind a pixel of a full G-buffer of blended attributes, which the importer binds as `gbuffer`.
+// The surface in a pixel of a full G-buffer of blended attributes, which the importer binds as `gbuffer`.
 #import surface
 #import camera
 #import quaternion
 
-// Group `quad` of the visibility behind a pixel, divided by coverage.
+// Group `quad` of the visibility in a pixel, divided by coverage.
 fn pixel_visibility(pixel_ix: u32, quad: u32, inverse: f32) -> vec4f {
     return masked_quad(quad, gbuffer[(VISIBILITY_GROUP + quad) * camera.n_pixels + pixel_ix] * inverse);
 }
 
-// For pixels of coverage >= MIN_COVERAGE.
+// The surface in a pixel with coverage >= MIN_COVERAGE.
 fn pixel_surface(pixel: vec2u, pixel_ix: u32, coverage: f32) -> Surface {
     let n = camera.n_pixels;
     let inverse = 1.0 / coverage;

@@ -1,33 +1,33 @@
-// What the probe kernels share (docs/MODEL.md section 6): Gaussians as occluders, seen along a direction, and the grid of
-// cells over the plane across it that lists them. Every kernel that needs a cell asks here, so that counting, emission
-// and queries agree. Which grid it is changes no result: a cell lists all that overlaps it, and what lies outside the grid
-// belongs to the cell at its edge.
+// Shared code of the probe kernels (docs/MODEL.md, section 6): Gaussians as occluders, seen along a direction, and the grid of
+// cells, over the plane perpendicular to it, that lists them. All kernels compute cells here, so that counting, emission and
+// queries agree. The choice of grid changes no result: a cell lists all footprints that overlap it, and points outside the
+// grid belong to its outermost cells.
 #import finite
 #import generated/occlusion
 #import splat
 
 const WG_SIZE = 256u;
-// Coordinates beyond this, far outside any scene, are not measured: their squares would not stay finite.
+// Points with larger coordinates, far outside any scene, are not measured: the squares would not stay finite.
 const FAR_OUT = 1e10;
 
-// Kept in step with `Sweep` of src/engine/gpu/probes.rs.
+// Kept in step with `Sweep` of crates/engine/src/gpu/probes/sweep.rs.
 struct Sweep {
-    // Gaussians.
+    // Number of Gaussians.
     n: u32,
     n_directions: u32,
     direction_ix: u32,
     // Cells along an edge of the grid, 1..=256.
     side: u32,
-    // (Gaussian, cell) pairs of this direction.
+    // Number of (Gaussian, cell) pairs of this direction.
     n_instances: u32,
-    // Occluders must be this many of their own standard deviations further along.
+    // Smallest distance of an occluder along the direction, in its own standard deviations.
     clearance: f32,
-    // And no further than this.
+    // Largest distance of an occluder.
     reach: f32,
     pad: u32,
 }
 
-// An orthonormal basis: two vectors across the direction and the direction itself; w is unused.
+// An orthonormal basis: two vectors perpendicular to the direction, and the direction itself; w is unused.
 struct Frame {
     u: vec4f,
     v: vec4f,
@@ -36,7 +36,7 @@ struct Frame {
 
 struct Occluder {
     mean: vec3f,
-    // 0 = hides nothing.
+    // 0: hides nothing.
     opacity: f32,
     // Axes times standard deviations; w is unused.
     axes: array<vec4f, 3>,
@@ -55,7 +55,7 @@ struct Flat {
     reach: f32,
     // First column, first row, last column, last row: a byte each.
     cells: u32,
-    // How many those are; 0 = hides nothing along this direction, and no other member may be read.
+    // Number of these cells. 0: hides nothing along this direction, and no other member may be read.
     n_cells: u32,
     pad: u32,
 }
@@ -76,8 +76,8 @@ fn within_reason(v: vec3f) -> bool {
     return all_finite3(v) && all(abs(v) <= vec3f(FAR_OUT));
 }
 
-// The grid across `frame` over the box `lo..hi`. A side is at least a quarter of the other: where everything overlaps
-// along one side, narrower cells would list the same again and again.
+// The grid on the plane of `frame` over the box `lo..hi`. A side is at least a quarter of the other: where all footprints
+// overlap along one side, narrower cells would repeat the same lists.
 fn plane_grid(frame: Frame, lo: vec3f, hi: vec3f, side: u32) -> PlaneGrid {
     let middle = 0.5 * (lo + hi);
     let half = 0.5 * (hi - lo);
@@ -92,7 +92,7 @@ fn cell_at(grid: PlaneGrid, p: vec2f) -> vec2u {
     return vec2u(clamp((p - grid.origin) * grid.inverse_size, vec2f(0.0), vec2f(grid.last)));
 }
 
-// Unsigned integers in the order of the floats, of any sign.
+// Unsigned integers in the order of the floats, for both signs.
 fn sortable(x: f32) -> u32 {
     let bits = bitcast<u32>(x);
     return bits ^ select(0x80000000u, 0xffffffffu, (bits >> 31u) != 0u);
@@ -102,7 +102,7 @@ fn float_of_sortable(key: u32) -> f32 {
     return bitcast<f32>(key ^ select(0xffffffffu, 0x80000000u, (key >> 31u) != 0u));
 }
 
-// The determinant is taken as the squared length of a cross product plus the terms of the widening, all positive: for
+// The determinant is computed as the squared length of a cross product plus the terms of the widening, all positive: for
 // needles `uu vv - uv^2` is the difference of two large numbers.
 fn flatten(o: Occluder, frame: Frame, grid: PlaneGrid) -> Flat {
     var flat: Flat;
@@ -119,7 +119,7 @@ fn flatten(o: Occluder, frame: Frame, grid: PlaneGrid) -> Flat {
     if !(narrow.x < MAX_OCCLUDER_VARIANCE && narrow.y < MAX_OCCLUDER_VARIANCE) {
         return flat;
     }
-    // A disc seen edge-on would have a width of 0.
+    // Without the widening a disc seen edge-on would have width 0.
     let sum = narrow.x + narrow.y;
     let widening = 1e-4 * sum + 1e-14;
     let area = cross(x, y);
@@ -132,7 +132,7 @@ fn flatten(o: Occluder, frame: Frame, grid: PlaneGrid) -> Flat {
     flat.centre = vec2f(dot(o.mean, frame.u.xyz), dot(o.mean, frame.v.xyz));
     flat.depth = dot(o.mean, frame.d.xyz);
     flat.thickness = length(along);
-    // A little more than needed, so that rounding never leaves a cell out.
+    // Slightly larger than needed, so that rounding never omits a cell.
     let extent = 1.0001 * sqrt(2.0 * max(flat.reach, 0.0) * variance) + 1e-6 * abs(flat.centre);
     let first = cell_at(grid, flat.centre - extent);
     let last = cell_at(grid, flat.centre + extent);

@@ -1,10 +1,10 @@
-// Chain rule of the projection: the part of update.wgsl that goes from a splat's gradient to the Gaussian's geometry. The
-// including kernel declares its bindings.
+// Chain rule of the projection: the part of update.wgsl from a splat's gradient to the Gaussian's geometry. The importing
+// kernel declares its bindings.
 #import attributes
 #import splat
 #import camera
 
-// Gradients of what several chain rules share.
+// Gradients that several chain rules share.
 struct Geometry {
     mean: vec3f,
     log_scale: vec3f,
@@ -13,7 +13,7 @@ struct Geometry {
     opacity: f32,
 }
 
-// Chain rule of the projection (docs/MODEL.md section 2).
+// Chain rule of the projection (docs/MODEL.md, section 2).
 fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: vec3f, mean: vec3f) -> Geometry {
     let s = splats[gaussian_ix];
     let by_head = splat_gradients[up.row];
@@ -33,8 +33,8 @@ fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: ve
     let screen0 = t0 * m;
     let screen1 = t1 * m;
     // With x_k an axis on screen and y_k = C x_k, the gradient of the conic C is -2 C dC y_k by x_k and -2 y_k . dC y_k by
-    // its ln length. A needle's y is the inverse of its length: as a difference of C's entries times x it would be lost.
-    // adj(raw) x_k = sum over the other axes j of (x_k x x_j) perp x_j has no such difference.
+    // its ln length. For a needle, y is the inverse of its length and would cancel out as a difference of C's entries times
+    // x. adj(raw) x_k = sum over the other axes j of (x_k x x_j) perp x_j has no such difference.
     let lp = camera.low_pass;
     let area = cross(screen0, screen1);
     let raw_determinant = dot(area, area);
@@ -50,7 +50,7 @@ fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: ve
     var by_screen0 = -2.0 * (c.x * v0 + c.y * v1);
     var by_screen1 = -2.0 * (c.y * v0 + c.z * v1);
     var by_length = -2.0 * (y0 * v0 + y1 * v1);
-    // The gradient of sqrt(det raw / det covariance); below, its root no longer has a derivative that f32 can hold.
+    // The gradient of sqrt(det raw / det covariance). Below this determinant the derivative of its root overflows f32.
     if camera.low_pass_compensation != 0u && raw_determinant > MIN_DETERMINANT {
         let factor = s.compensation * by_tail.y * sigmoid(logit);
         let sharper0 = factor * (adjugate0 / raw_determinant - y0);
@@ -70,7 +70,7 @@ fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: ve
     let by_t1 = m * by_screen1;
     let diagonal = vec2f(dot(by_t0, camera.rotation[0].xyz), dot(by_t1, camera.rotation[1].xyz));
     let slanted = vec2f(dot(by_t0, camera.rotation[2].xyz), dot(by_t1, camera.rotation[2].xyz));
-    // Inside, the clamped ratio is the true one; outside only the mean's own ratio moves.
+    // Inside the limits the clamped ratio is the true one; outside only the mean's own ratio has a derivative.
     let by_ratio = camera.focal * by_head.xy + select(vec2f(0.0), -camera.focal * inverse * slanted, is_inside);
     let by_depth = inverse * inverse * camera.focal * (slanted * clamped - diagonal) - by_ratio * ratio * inverse;
     out.mean = to_world(camera, vec3f(by_ratio * inverse, by_depth.x + by_depth.y));

@@ -1,6 +1,6 @@
 // Rotations from quaternions (w x y z in xyzw of the vector) of any length; zero length is the identity.
 
-// Unit vector and length: `v / max(|v|, 1e-12)`. Scaled first, so that tiny components do not underflow.
+// Unit vector and length: `v / max(|v|, 1e-12)`. Scaled first, so that squares of tiny components do not underflow.
 fn normalised4(v: vec4f) -> vec4f {
     let a = abs(v);
     let most = max(max(a.x, a.y), max(a.z, a.w));

@@ -1,25 +1,26 @@
-// Transmittance along single rays through a tree of boxes around the Gaussians: the port of src/engine/cpu/rays.rs. The importer
-// binds `nodes`, two vec4u a node, and `members`, four vec4f an occluder, and hands over the rules.
+// Transmittance along single rays through a bounding volume hierarchy of the Gaussians: the port of
+// crates/engine/src/cpu/rays.rs. The importer binds `nodes`, two vec4u per node, and `members`, four vec4f per occluder, and
+// passes the rules.
 //
-// A node: low corner and first member (of a leaf) or right child; high corner and number of members, 0 of an inner node, whose
-// left child is the next node. Corners are the bits of floats. A member: mean and opacity; three axes times standard
-// deviations, the first with ln(255 opacity).
+// A node: low corner and first member (of a leaf) or right child; high corner and number of members, which is 0 for an inner
+// node, whose left child is the next node. Corners are the bits of floats. A member: mean and opacity; three axes times
+// standard deviations, the first with ln(255 opacity).
 #import generated/occlusion
 #import generated/projection
 #import orthonormal
 
-// Kept in step with `RayRules` of src/engine/gpu/rays/tree.rs.
+// Kept in step with `RayRules` of crates/engine/src/gpu/rays/tree.rs.
 struct RayRules {
-    // Standard deviations of its own that an occluder must be further along.
+    // Smallest distance of an occluder along the ray, in its own standard deviations.
     clearance: f32,
-    // And this much besides, world units.
+    // Addend to that distance, world units.
     bias: f32,
-    // And no further than this.
+    // Largest distance of an occluder, world units.
     reach: f32,
     n_nodes: u32,
 }
 
-// Directions are kept this far from the axes: a ray within the face of a box has no quotient.
+// Smallest absolute component of a direction, so that its inverse is finite.
 const MIN_SLOPE = 1e-20;
 
 fn meets_box(low: vec3f, high: vec3f, origin: vec3f, inverse: vec3f) -> bool {
@@ -48,7 +49,7 @@ fn alpha_on_ray(member_ix: u32, origin: vec3f, d: vec3f, across: mat2x3f, rules:
     let y = across[1] * axes;
     let narrow = vec2f(dot(x, x), dot(y, y));
     let sum = narrow.x + narrow.y;
-    // A disc seen edge-on would have a width of 0.
+    // Without the widening a disc seen edge-on would have width 0.
     let widening = 1e-4 * sum + 1e-14;
     // All terms are positive: for needles `uu vv - uv^2` is the difference of two large numbers.
     let area = cross(x, y);

@@ -1,4 +1,4 @@
-// Sum over a workgroup of WG_SIZE (a power of two) threads, for every thread. Must be called by all of them.
+// Sum over a workgroup of WG_SIZE (a power of two) threads, returned to every thread. All threads must call it.
 var<workgroup> sh_reduce: array<vec4f, WG_SIZE>;
 
 fn workgroup_sum(local_ix: u32, value: vec4f) -> vec4f {
@@ -11,7 +11,7 @@ fn workgroup_sum(local_ix: u32, value: vec4f) -> vec4f {
         workgroupBarrier();
     }
     let sum = sh_reduce[0];
-    // The next call must not overwrite what others still read.
+    // The next call must not overwrite values that other threads still read.
     workgroupBarrier();
     return sum;
 }

@@ -1,4 +1,4 @@
-// What a surface sends to the camera of the light from one direction: the port of src/light/reflector.rs.
+// Reflection of light from one direction towards the camera: the port of crates/scene/src/light/reflector.rs.
 #import generated/light
 #import orthonormal
 #import quaternion
@@ -7,7 +7,7 @@ const PI = 3.14159265;
 const MIN_GGX_ALPHA = 1e-4;
 
 struct Reflector {
-    // Unit, on the side of the camera.
+    // Unit normal on the side of the camera.
     normal: vec3f,
     tangent: vec3f,
     bitangent: vec3f,
@@ -15,12 +15,12 @@ struct Reflector {
     view: vec3f,
     nov: f32,
     alpha: f32,
-    // Lambert's reflectance per steradian, and the reflectance head-on.
+    // Lambert's reflectance per steradian; the next member is the reflectance at normal incidence.
     diffuse: vec3f,
     f0: vec3f,
 }
 
-// By the two parts of the surface; 0 of light from below the horizon.
+// Reflection by the two parts of the surface; 0 for light from below the horizon.
 struct Reflected {
     diffuse: vec3f,
     specular: vec3f,
@@ -43,7 +43,7 @@ fn reflector_of(normal: vec3f, view: vec3f, albedo: vec3f, metal: f32, rough: f3
     return r;
 }
 
-// GGX for a half vector, of squared alpha: (1 - (n . h)^2) is taken as a square, without cancellation.
+// GGX for a half vector and squared alpha; (1 - (n . h)^2) is computed as a square, without cancellation.
 fn ggx(r: Reflector, half_way: vec3f, a: f32) -> f32 {
     let across = cross(r.normal, half_way);
     let spread = a + (1.0 - a) * dot(across, across);
@@ -71,7 +71,7 @@ fn from_surface(r: Reflector, v: vec3f) -> vec3f {
     return v.x * r.tangent + v.y * r.bitangent + v.z * r.normal;
 }
 
-// A direction by the cosine, of two numbers in [0, 1), and its density per steradian.
+// A direction drawn by the cosine, from two numbers in [0, 1).
 fn sample_cosine(r: Reflector, u: vec2f) -> vec3f {
     let phi = 2.0 * PI * u.y;
     return from_surface(r, vec3f(sqrt(u.x) * vec2f(cos(phi), sin(phi)), sqrt(1.0 - u.x)));
@@ -81,7 +81,7 @@ fn cosine_density(r: Reflector, light: vec3f) -> f32 {
     return max(dot(r.normal, light), 0.0) / PI;
 }
 
-// A direction by the lobe of half vectors; below the horizon where there is none.
+// A direction drawn by the lobe of half vectors; below the horizon where it is invalid.
 fn sample_lobe(r: Reflector, u: vec2f) -> vec3f {
     let a = r.alpha * r.alpha;
     let scale = 1.0 / (1.0 + (a - 1.0) * u.x);

@@ -1,14 +1,14 @@
-// Sums over a Gaussian's prototype scores for update.wgsl: the mixture behind its albedo, and the aggregation term. The
-// including kernel declares its bindings.
+// Sums over a Gaussian's prototype scores for update.wgsl: the mixture of its albedo, and the aggregation term. The importing
+// kernel declares its bindings.
 #import attributes
 #import generated/objective
 
-// What the softmax of a Gaussian's scores is needed for.
+// Values from the softmax of a Gaussian's scores.
 struct Mixture {
     // Largest score and the sum of e^(score - top).
     top: f32,
     total: f32,
-    // Gradient by albedo where its clamp lets it through, and its product with the mixture.
+    // Gradient by albedo where its clamp passes it; the next member is its product with the mixture.
     by_albedo: vec3f,
     by_mixture: f32,
     // Aggregation (Eq. 24): prod (1 - p), Q, sum of p times the gradient by p.
@@ -44,7 +44,7 @@ fn aggregation_derivative(m: Mixture, p: f32) -> f32 {
     return -update.aggregation / m.q * (own - through);
 }
 
-// Sums over the scores, recomputing each share when it is needed: K values do not fit in registers.
+// Sums over the scores; each share is recomputed on use, because K values do not fit in registers.
 fn mixture_of(gaussian_ix: u32, up: Upstream) -> Mixture {
     var m: Mixture;
     let scale = mixture_scale(gaussian_ix);

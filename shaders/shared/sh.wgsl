@@ -1,5 +1,5 @@
-// Real spherical harmonics to order 6 without angles, so values and gradients stay finite at the poles; the basis,
-// its order and signs are those of src/light/sh.rs. Index of (l, m) is l * l + l + m.
+// Real spherical harmonics up to degree 6 without angles, so values and gradients stay finite at the poles. The basis, its
+// order and signs are those of crates/scene/src/light/sh.rs. The index of (l, m) is l * l + l + m.
 #import generated/light
 
 // Values of all harmonics up to `sh_degree` along the unit direction `d`.

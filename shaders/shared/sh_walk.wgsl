@@ -1,7 +1,7 @@
-// The harmonics of sh.wgsl, one pair (l, +-m) after another, for kernels that use each value once: nothing is kept in
-// private arrays, which would spill. Column by column: m = 0, l = 0..order; m = 1, l = 1..order; ...
+// The harmonics of sh.wgsl, one pair (l, +-m) after another, for kernels that use each value once. No private arrays, which
+// would spill. Column by column: m = 0, l = 0..degree; m = 1, l = 1..degree; ...
 //
-//   for (var term = sh_first(order, d); sh_is_term(term); sh_next(&term)) { ... }
+//   for (var term = sh_first(degree, d); sh_is_term(term); sh_next(&term)) { ... }
 #import sh
 
 struct ShTerm {
@@ -14,7 +14,7 @@ struct ShTerm {
     before: vec2f,
     // Q_m^m.
     diagonal: f32,
-    // (l - m)! / (l + m)!, and where the column starts, 1 / (2m)!.
+    // (l - m)! / (l + m)!; at the start of the column 1 / (2m)!.
     ratio: f32,
     first_ratio: f32,
     // (x + i y)^m and m (x + i y)^(m - 1).
@@ -24,7 +24,7 @@ struct ShTerm {
 
 const FOUR_PI = 12.566370614;
 
-// At l = m = 0 along the unit direction `d`.
+// The term l = m = 0 along the unit direction `d`.
 fn sh_first(sh_degree: u32, d: vec3f) -> ShTerm {
     return ShTerm(d, sh_degree, 0u, 0u, vec2f(1.0, 0.0), vec2f(0.0), 1.0, 1.0, 1.0, vec2f(1.0, 0.0), vec2f(0.0));
 }
@@ -33,7 +33,7 @@ fn sh_is_term(w: ShTerm) -> bool {
     return w.m <= w.sh_degree;
 }
 
-// Indices of the coefficients +m and -m; equal where m = 0, and then only the first counts.
+// Indices of the coefficients +m and -m. They are equal where m = 0; then only the first counts.
 fn sh_indices(w: ShTerm) -> vec2u {
     let centre = w.l * w.l + w.l;
     return vec2u(centre + w.m, centre - w.m);

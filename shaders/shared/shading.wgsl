@@ -1,5 +1,5 @@
-// Shading of a surface (docs/MODEL.md section 4), as src/engine/cpu/surface_shader.rs. Takes bindings 0 to 5; permutations
-// define S and ORDER.
+// Shading of a surface (docs/MODEL.md, section 4): the port of crates/engine/src/cpu/surface_shader.rs. Uses bindings 0 to 5;
+// permutations define S and ORDER.
 #import surface
 #import camera
 #import generated/parameters
@@ -14,14 +14,14 @@
 #import sheen
 #import display
 
-// The forward model. Kept in step with `ShadingUniform` of src/engine/gpu/shading.rs.
+// Options of the forward model. Kept in step with `ShadingUniform` of crates/engine/src/gpu/shading/mod.rs.
 struct Shading {
     // Display-referred.
     background: vec4f,
     visibility_form: u32,
     diffuse_form: u32,
     shade_at: u32,
-    // 1: compare through the sRGB curve.
+    // 1: images are compared through the sRGB curve.
     srgb: u32,
 }
 
@@ -29,13 +29,13 @@ struct Shading {
 @group(0) @binding(1) var<uniform> shading: Shading;
 @group(0) @binding(2) var<uniform> tables: Tables;
 @group(0) @binding(3) var<storage, read> constants: array<f32>;
-// The light tables twice: as floats, and in quads for the rows of coefficients, which are multiples of 16 floats.
+// The light tables, bound twice: as floats, and as quads for the rows of coefficients, which are multiples of 16 floats.
 @group(0) @binding(4) var<storage, read> light_tables: array<f32>;
 @group(0) @binding(5) var<storage, read> light_quads: array<vec4f>;
 
 const INV_PI = 0.318309886;
 
-// A shaded surface and what its backward pass needs.
+// A shaded surface with the values that its backward pass needs.
 struct Shaded {
     diffuse: vec3f,
     specular: vec3f,
@@ -46,7 +46,7 @@ struct Shaded {
     nov_inside: bool,
     reflection: vec3f,
     reflection_length: f32,
-    // Of the lights beside the tables.
+    // Light of the dominant lights.
     direct: Direct,
     lambert: Lambert,
     sheen: Sheen,
@@ -59,7 +59,7 @@ struct Shaded {
     lut: LutSample,
 }
 
-// Degree of the visibility field: known to the compiler where unrolled loops over it stay small.
+// Degree of the visibility field: a constant where unrolled loops over it stay small.
 fn sh_degree() -> u32 {
 #ifdef ORDER
     return ORDER;
@@ -72,7 +72,7 @@ fn is_open() -> bool {
     return shading.visibility_form == VISIBILITY_OFF;
 }
 
-// True where the diffuse term takes one number for visibility.
+// True where the diffuse term uses one number as visibility.
 fn is_scalar() -> bool {
     return is_open() || shading.diffuse_form == DIFFUSE_AMBIENT_OCCLUSION;
 }
@@ -84,7 +84,7 @@ fn squash(x: f32) -> f32 {
     return select(clamp(x, 0.0, 1.0), 1.0, is_open());
 }
 
-// Derivative of `squash` at `x`, where it gave `y`.
+// Derivative of `squash` at `x`, where it returned `y`.
 fn squash_derivative(x: f32, y: f32) -> f32 {
     if shading.visibility_form == VISIBILITY_SIGMOID {
         return y * (1.0 - y);
@@ -92,7 +92,7 @@ fn squash_derivative(x: f32, y: f32) -> f32 {
     return select(0.0, 1.0, !is_open() && x > 0.0 && x < 1.0);
 }
 
-// Irradiance rgb of one node: three rows of coefficients against the visibility.
+// Irradiance rgb of one node: dot products of three rows of coefficients with the visibility.
 fn node_irradiance(s: ptr<function, Surface>, node: u32) -> vec3f {
     let quads = tables.coefficients / 4u;
     let first = node * 3u * quads;
@@ -166,7 +166,7 @@ fn attenuation(cell: LobeCell, l: u32) -> vec2f {
     return lobe_value(cell, l);
 }
 
-// Visibility through the specular lobe, before the squash.
+// Visibility over the specular lobe, before the squash.
 fn visible_raw(s: ptr<function, Surface>, reflection: vec3f) -> f32 {
     let cell = lobe_cell((*s).rough);
     var factors: array<f32, 7>;
@@ -176,7 +176,7 @@ fn visible_raw(s: ptr<function, Surface>, reflection: vec3f) -> f32 {
     return field_along(s, reflection, &factors);
 }
 
-// Radiance leaving the surface towards the camera.
+// Radiance of the surface towards the camera.
 fn shade(s: ptr<function, Surface>) -> Shaded {
     var f: Shaded;
     f.normal_length = length3((*s).normal);
@@ -194,7 +194,7 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
     f.lambert = lambert(s, f.normal, f.direct.irradiance);
     f.sheen = sheen_of((*s).sheen, f.nov);
     f.diffuse = f.lambert.radiance * f.sheen.gain;
-    // Specular: split sum, visibility through the lobe.
+    // Specular: split sum, visibility over the lobe.
     f.position = level_position((*s).rough);
 #repeat k 2
     f.level_taps[$k] = cube_taps(specular_nodes(f.position.level + $ku), f.reflection);

@@ -1,4 +1,5 @@
-// Chain rule through `shade` (src/engine/cpu/surface_shader.rs). With ALL_CHANNELS it also gives the gradient by visibility.
+// Chain rule through `shade` (crates/engine/src/cpu/surface_shader.rs). With ALL_CHANNELS it also computes the gradient by
+// visibility.
 #import shading
 #import direct_backward
 
@@ -8,17 +9,17 @@ struct SurfaceGradient {
     metal: f32,
     rough: f32,
     sheen: f32,
-    // By the direction to the camera.
+    // Gradient by the direction to the camera.
     view: vec3f,
     blocked: vec3f,
     gathered: vec3f,
-    // By the irradiance of the lights beside the tables.
+    // Gradient by the irradiance of the dominant lights.
     lights: array<vec3f, MAX_LIGHTS>,
-    // By irradiance before the clamp, for the diffuse table.
+    // Gradient by irradiance before the clamp, for the diffuse table.
     irradiance: vec3f,
-    // By the light of the two specular levels, for the specular tables.
+    // Gradient by the light of the two specular levels, for the specular tables.
     level: array<vec3f, 2>,
-    // By ambient occlusion and by visibility through the lobe, before the squash.
+    // Gradients by ambient occlusion and by visibility over the lobe, before the squash.
     ambient_raw: f32,
     visible_raw: f32,
     // Gradient by visibility times visibility, summed.
@@ -56,7 +57,7 @@ fn field_backward(
 }
 
 // Gradients by the normal and by the reflection through ambient occlusion and specular visibility, given those by the two
-// before they are squashed. One loop, so that the large body is compiled once.
+// values before the squash. One loop, so that the large body is compiled once.
 fn visibility_backward(
     s: ptr<function, Surface>,
     normal: vec3f,
@@ -94,8 +95,8 @@ fn rows_backward(out: ptr<function, SurfaceGradient>, node: u32, weight: vec3f) 
 }
 #endif
 
-// Gradient by the normal through the tables of the diffuse term; `g` is the gradient by its radiance. What is left to do
-// is `ambient_raw`.
+// Gradient by the normal through the tables of the diffuse term; `g` is the gradient by its radiance. The caller handles
+// `ambient_raw`.
 fn lambert_backward(
     s: ptr<function, Surface>,
     f: ptr<function, Lambert>,
@@ -170,7 +171,7 @@ fn specular_backward(
 
 fn shade_backward(s: ptr<function, Surface>, f: ptr<function, Shaded>, g: vec3f) -> SurfaceGradient {
     var out: SurfaceGradient;
-    // A copy: naga 30 writes no pointer into a struct that is a pointer itself.
+    // A copy: naga 30 cannot form a pointer to a member through a pointer.
     var diffuse = (*f).lambert;
     var by_normal = lambert_backward(s, &diffuse, g * (*f).sheen.gain, &out);
     let by_gain = dot(g, (*f).lambert.radiance);

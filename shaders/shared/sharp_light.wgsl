@@ -1,21 +1,21 @@
-// A strong small light of an environment, taken by itself (src/light/dominant.rs), and what a surface sends of it.
+// A dominant light of an environment (crates/scene/src/light/dominant.rs), and its reflection by a surface.
 #import reflector
 #import sheen
 
-// Kept in step with `SharpLightUniform` of src/engine/gpu/rays/shadows.rs.
+// Kept in step with `SharpLightUniform` of crates/engine/src/gpu/rays/shadows.rs.
 struct SharpLight {
     // Unit vector; w: angular radius, radians.
     direction: vec4f,
     // Radiance times solid angle; w is unused.
     irradiance: vec4f,
-    // Groups of a row of attributes.
+    // Groups per attribute row.
     row_groups: u32,
-    // Rays of a pixel; 0 where nothing hides anything.
+    // Rays per pixel; 0 without occlusion.
     n_rays: u32,
-    // Directions that these take in turn.
+    // Number of directions, which the rays use in turn.
     n_directions: u32,
     pad: u32,
-    // Unit vectors towards places of the light; w is unused.
+    // Unit vectors towards points of the light; w is unused.
     directions: array<vec4f, 7>,
 }
 

@@ -1,9 +1,10 @@
-// Sheen, the gain of the diffuse term at grazing view: the port of src/light/sheen.rs, a part of `shading`.
+// Sheen, the gain of the diffuse term at grazing view: the port of crates/scene/src/light/sheen.rs, a part of
+// `shading`.
 #import generated/light
 
 struct Sheen {
     gain: f32,
-    // By the Gaussian's number and by n.v.
+    // Derivatives by the Gaussian's sheen and by n.v.
     by_sheen: f32,
     by_nov: f32,
 }

@@ -1,4 +1,5 @@
-// A projected Gaussian, 64 bytes, indexed by gaussian_ix. Kept in step with `SplatRecord` of src/engine/gpu/view.rs.
+// A projected Gaussian, 64 bytes, indexed by gaussian_ix. Kept in step with `SplatRecord` of
+// crates/engine/src/gpu/raster/records.rs.
 #import generated/projection
 
 struct Splat {
@@ -6,7 +7,7 @@ struct Splat {
     mean: vec2f,
     // Opacity, compensation included.
     opacity: f32,
-    // ln(255 opacity): beyond this exponent alpha is below 1/255.
+    // ln(255 opacity): at a larger exponent alpha is below 1/255.
     reach: f32,
     // Inverse of the screen covariance: xx, xy, yy.
     conic: vec3f,
@@ -14,11 +15,11 @@ struct Splat {
     depth: f32,
     // Screen covariance, low-pass included: xx, xy, yy.
     covariance: vec3f,
-    // Factor the compensation multiplied the opacity by.
+    // Factor of the compensation on the opacity.
     compensation: f32,
-    // Tiles it reaches a pixel of.
+    // Number of tiles in which it reaches a pixel.
     n_tiles: u32,
-    // SPLAT_VISIBLE or 0; then no other member may be read.
+    // SPLAT_VISIBLE or 0; if 0, no other member may be read.
     flags: u32,
     pad_a: u32,
     pad_b: u32,

@@ -1,5 +1,5 @@
-// What is shaded (`Surface` of src/engine/cpu/surface_shader.rs). The permutation defines S, the number
-// of visibility coefficients.
+// A surface to shade (`Surface` of crates/engine/src/cpu/surface.rs). The permutation defines S, the number of visibility
+// coefficients.
 
 #import generated/channels
 
@@ -7,30 +7,30 @@
 const N_QUADS = (S + 3u) / 4u;
 
 struct Surface {
-    // Any length.
+    // Normal of any length.
     normal: vec3f,
     metal: f32,
     albedo: vec3f,
     rough: f32,
-    // ln of the diffuse term's gain at grazing view (src/light/sheen.rs).
+    // ln of the diffuse term's gain at grazing view (crates/scene/src/light/sheen.rs).
     sheen: f32,
-    // Irradiance gathered from other surfaces, and radiance where the environment is blocked.
+    // Irradiance gathered from other surfaces; the next member is the radiance from blocked directions.
     gathered: vec3f,
     blocked: vec3f,
-    // Share of each light beside the tables that arrives; 0 where lights are not shaded.
+    // Arriving share of each dominant light; 0 where dominant lights are not shaded.
     arriving: vec4f,
     // Unit direction to the camera.
     view: vec3f,
-    // Zero-padded.
+    // Visibility coefficients, zero-padded.
     visibility: array<vec4f, N_QUADS>,
 }
 
-// Group `quad` of the visibility coefficients with what lies beyond S zeroed, whatever the buffer holds there.
+// Group `quad` of the visibility coefficients, with zeros beyond S.
 fn masked_quad(quad: u32, value: vec4f) -> vec4f {
     return select(vec4f(0.0), value, quad * 4u + vec4u(0u, 1u, 2u, 3u) < vec4u(S));
 }
 
-// From channels times `scale`, seen from the unit direction `towards`; without sheen, and visibility is left to the caller.
+// A surface from channels times `scale`, seen from the unit direction `towards`; without sheen. The caller sets visibility.
 fn surface_of_channels(
     normal_group: vec4f,
     albedo_group: vec4f,

@@ -1,35 +1,34 @@
-// Adds the shares that the members of a workgroup of WG_SIZE threads, pixels or Gaussians, have in the gradient of the light
-// tables.
+// Adds the members of a workgroup of WG_SIZE threads, pixels or Gaussians, to the gradient of the light tables.
 //
-// A member adds to four nodes of the diffuse table, 12 x S sums, or to four of a specular level, and members share nodes. So
-// they are sorted by cell in workgroup memory (cell, weights, gradient and place a member: 10 KiB), then each thread owns
-// one (tap, colour, four coefficients), takes the sorted members in turn, and adds to memory only where the cell changes.
-// Visibility is read again from where it came, which is in the cache by then: it would not fit beside the rest.
+// A member adds to four nodes of the diffuse table, 12 x S sums, or to four nodes of a specular level, and members share
+// nodes. So the members are sorted by cell in workgroup memory (cell, weights, gradient and position per member: 10 KiB). Each
+// thread then owns one (tap, colour, four coefficients), iterates over the sorted members, and adds to memory only where the
+// cell changes. Visibility does not fit in workgroup memory as well; it is read again from its source, which is in the cache.
 //
 // The importer binds `by_tables: array<accumulator>` and defines `member_visibility(local_ix, quad) -> vec4f`.
 
 const NO_CELL = 0xffffffffu;
-// A cell is its level in the upper 8 bits and its first node below; the grid of normals counts as a level.
+// A cell has its level in the upper 8 bits and its first node in the lower ones; the grid of normals counts as a level.
 const DIFFUSE_LEVEL = 7u;
 const NODE_BITS = 24u;
 
 var<workgroup> sh_cell: array<u32, WG_SIZE>;
 var<workgroup> sh_weight: array<vec4f, WG_SIZE>;
-// Gradient by what was looked up; the member's own number.
+// Gradient by the looked-up value; w is the member's own number.
 var<workgroup> sh_by: array<vec4f, WG_SIZE>;
 var<workgroup> sh_member_of_place: array<u32, WG_SIZE>;
 
-// What a member adds to the diffuse table and to the two specular levels.
+// Contribution of a member to the diffuse table and to the two specular levels.
 struct Shares {
-    // NO_CELL where it adds nothing.
+    // NO_CELL where the member adds nothing.
     cell: vec3u,
     // Bilinear weights of the cell's nodes.
     weight: array<vec4f, 3>,
-    // Gradient by what was looked up, rgb.
+    // Gradient by the looked-up values, rgb.
     by: array<vec3f, 3>,
     // 1 / coverage.
     inverse: f32,
-    // Gradient by the irradiance of the lights beside the tables; for the importer to add.
+    // Gradient by the irradiance of the dominant lights; the importer adds it.
     lights: array<vec3f, MAX_LIGHTS>,
 }
 
@@ -55,7 +54,7 @@ fn add_quad(at: u32, value: vec4f) {
     }
 }
 
-// What a member's share is multiplied by: its visibility, or one number for it.
+// Factor of a member's share: its visibility, or one number for it.
 fn shared_quad(is_diffuse: bool, member_ix: u32, quad: u32) -> vec4f {
     if !is_diffuse || is_scalar() {
         return vec4f(select(1.0, UNOCCLUDED_SH0, is_diffuse), 0.0, 0.0, 0.0);
@@ -65,7 +64,7 @@ fn shared_quad(is_diffuse: bool, member_ix: u32, quad: u32) -> vec4f {
 
 fn add_sorted(is_diffuse: bool, local_ix: u32) {
     let n_quads = select(1u, N_QUADS, is_diffuse && !is_scalar());
-    // Threads that share one output each take a strip of the members.
+    // Threads that share one output each process a strip of the members.
     let n_outputs = 12u * n_quads;
     let n_strips = WG_SIZE / n_outputs;
     let strip = local_ix / n_outputs;
@@ -80,7 +79,7 @@ fn add_sorted(is_diffuse: bool, local_ix: u32) {
     var cell = NO_CELL;
     var sum = vec4f(0.0);
     for (var place = strip * WG_SIZE / n_strips; place <= end; place++) {
-        // One step beyond the end adds what is left.
+        // One step beyond the end adds the rest.
         let member_ix = sh_member_of_place[min(place, WG_SIZE - 1u)];
         let next = select(NO_CELL, sh_cell[member_ix], place < end);
         if next != cell {
@@ -99,13 +98,14 @@ fn add_sorted(is_diffuse: bool, local_ix: u32) {
     }
 }
 
-// Adds to one table, the diffuse one or a specular level, the shares of all members of the workgroup; every thread calls it.
+// Adds the shares of all members of the workgroup to one table, the diffuse one or a specular level; every thread must call
+// it.
 fn add_shares(is_diffuse: bool, local_ix: u32, cell: u32, weight: vec4f, by: vec4f) {
     sh_cell[local_ix] = cell;
     sh_weight[local_ix] = weight;
     sh_by[local_ix] = by;
     workgroupBarrier();
-    // Place of this member in the order of cells, ties by index: a count, since 256 keys are few.
+    // Position of this member in the order of cells, ties by index; found by counting, since there are only 256 keys.
     var place = 0u;
     for (var other_ix = 0u; other_ix < WG_SIZE; other_ix++) {
         let other = sh_cell[other_ix];
@@ -123,7 +123,7 @@ fn no_shares() -> Shares {
     return shares;
 }
 
-// Of a surface that was shaded as `f` and got the gradient `by`.
+// Shares of a surface with shading `f` and gradient `by`.
 fn shares_of(f: ptr<function, Shaded>, by: ptr<function, SurfaceGradient>, inverse: f32) -> Shares {
     var shares: Shares;
     let level = (*f).position.level;
@@ -139,7 +139,7 @@ fn shares_of(f: ptr<function, Shaded>, by: ptr<function, SurfaceGradient>, inver
     return shares;
 }
 
-// Adds the shares of all members of the workgroup to the three tables; every thread calls it.
+// Adds the shares of all members of the workgroup to the three tables; every thread must call it.
 fn add_all_shares(local_ix: u32, shares: ptr<function, Shares>) {
     for (var part = 0u; part < 3u; part++) {
         let by = vec4f((*shares).by[part], (*shares).inverse);

@@ -1,12 +1,12 @@
-// Which tiles a splat reaches: counting and emission share this, so that both find the same ones.
+// The tiles that a splat reaches. Counting and emission share this code, so that both find the same tiles.
 //
 // A splat reaches the pixels with `d^T C d <= 2 reach`, an ellipse. Its part between the first and the last pixel row of
-// a row of tiles is convex, so it covers an interval of x, and the tiles whose pixel centres meet that interval are
-// exactly those the ellipse meets: no tile has to be tested by itself.
+// a row of tiles is convex, so it covers an interval of x, and the tiles whose pixel centres lie in that interval are
+// exactly those that the ellipse reaches. No tile needs a test of its own.
 #import splat
 #import camera
 
-// Rounding may move an ellipse's edge; a tile too many costs little, one too few leaves a hole. Pixels.
+// Tolerance for rounding of an ellipse's edge, pixels: an extra tile costs little, a missing tile leaves a hole.
 const TILE_SLACK = 1e-3;
 
 // First tile and the one after the last, along one axis, that a pixel centre in `lo..hi` (pixels) lies in.

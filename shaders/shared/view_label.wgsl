@@ -30,7 +30,7 @@ fn view_label(gaussian_ix: u32, up: Upstream, sh_degree: u32, direction: vec3f) 
     } else {
         v = clamp(raw, LABEL_MARGIN, 1.0 - LABEL_MARGIN);
         derivative = (1.0 - p) / (1.0 - v) - p / v;
-        // Outside the margin a gradient passes only where a step against it leads back into the margin.
+        // Outside the margin a gradient passes only where a step against it leads back inside.
         let runs_away = (raw < v && derivative > 0.0) || (raw > v && derivative < 0.0);
         derivative = select(derivative, 0.0, runs_away);
     }

@@ -1,5 +1,5 @@
-// Prefix sum over the 256 threads of a workgroup, without subgroup operations: eight doubling steps between two halves
-// of one array, one barrier a step.
+// Prefix sum over the 256 threads of a workgroup, without subgroup operations: eight doubling steps between two halves of one
+// array, one barrier per step.
 
 var<workgroup> sh_scan: array<u32, 512>;
 
@@ -10,7 +10,7 @@ struct WorkgroupScan {
     total: u32,
 }
 
-// To be reached by all threads; the caller puts a barrier between two calls.
+// All threads must call it; the caller puts a barrier between two calls.
 fn scan_workgroup(local_ix: u32, value: u32) -> WorkgroupScan {
     sh_scan[local_ix] = value;
     workgroupBarrier();
@@ -24,6 +24,6 @@ fn scan_workgroup(local_ix: u32, value: u32) -> WorkgroupScan {
         sh_scan[half + local_ix] = sum;
         workgroupBarrier();
     }
-    // Eight steps end in the half they began in.
+    // After eight steps the result is in the half of the start.
     return WorkgroupScan(sh_scan[local_ix] - value, sh_scan[255]);
 }

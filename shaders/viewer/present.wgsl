@@ -1,4 +1,5 @@
-// From what was blended to the canvas: display-referred, premultiplied (docs/MODEL.md section 4). One triangle covers the picture.
+// Converts the blended values to the canvas: display-referred, premultiplied (docs/MODEL.md, section 4). One triangle covers
+// the picture.
 #import camera
 #import display
 #import generated/parameters
@@ -7,15 +8,15 @@
 struct Present {
     // Display-referred colour behind the model; opaque where w is 1.
     background: vec4f,
-    // Factor of the exposure on colours.
+    // Exposure factor of colours.
     gain: f32,
-    // How values are shown: RADIANCE and so on.
+    // The displayed layer: RADIANCE and so on.
     what: u32,
-    // Width and height of the picture of the light behind the model; 0: there is none.
+    // Width and height of the map of the light behind the model; 0: none.
     map_size: vec2u,
-    // Depths that are shown as black and white.
+    // Depths that appear black and white.
     depths: vec2f,
-    // How visibility is a number between 0 and 1.
+    // Code of the visibility form.
     visibility_form: u32,
     pad: u32,
 }
@@ -28,7 +29,7 @@ const OCCLUSION = 5u;
 
 @group(0) @binding(0) var<uniform> camera: Camera;
 @group(0) @binding(1) var<uniform> present: Present;
-// Blended values, and the transmittance that is left.
+// Blended values, and the remaining transmittance.
 @group(0) @binding(2) var blended: texture_2d<f32>;
 // Radiance rgb, row by row, +z first.
 @group(0) @binding(3) var<storage, read> map: array<f32>;
@@ -39,7 +40,7 @@ fn texel(x: i32, y: i32) -> vec3f {
     return vec3f(map[at], map[at + 1], map[at + 2]);
 }
 
-// The light along a unit direction: `EnvMap::sample` of src/scene/environment.rs.
+// The light along a unit direction: `EnvMap::sample` of crates/scene/src/environment.rs.
 fn light_behind(d: vec3f) -> vec3f {
     let size = vec2f(present.map_size);
     let u = fract(0.5 - atan2(d.y, d.x) / 6.283185307);
@@ -52,13 +53,13 @@ fn light_behind(d: vec3f) -> vec3f {
     return mix(above, below, fraction.y);
 }
 
-// Over the background, premultiplied.
+// Composites over the background, premultiplied.
 fn over_background(shown: vec3f, coverage: f32) -> vec4f {
     let behind = present.background * (1.0 - coverage);
     return vec4f(shown * coverage + behind.rgb * present.background.a, coverage + behind.a);
 }
 
-// `squash` of docs/MODEL.md section 4; with no occlusion everything is open.
+// `squash` of docs/MODEL.md, section 4; 1 without occlusion.
 fn squash(openness: vec3f) -> vec3f {
     switch present.visibility_form {
         case VISIBILITY_OFF: { return vec3f(1.0); }

@@ -1,6 +1,6 @@
-// Draws splats front to back (docs/MODEL.md sections 2 and 3), an instance a splat: what is blended into red, green and blue,
-// the transmittance that is left into alpha, which begins at 1. The fragment's colour is weighted by alpha of the target.
-// With OCCLUSION what is blended is how open each Gaussian is towards the normal that its pixel has from a picture before.
+// Draws splats front to back (docs/MODEL.md, sections 2 and 3), one instance per splat. Red, green and blue receive the blended
+// value, alpha the remaining transmittance, which starts at 1. The target's alpha weights the fragment's colour. With
+// OCCLUSION the blended value is each Gaussian's openness along the pixel's normal from an earlier pass.
 #import alpha
 #import camera
 #import generated/channels
@@ -11,7 +11,7 @@
 #endif
 
 struct Drawing {
-    // What is blended: the colour or one of the attributes.
+    // The blended value: the colour or one of the attributes.
     what: u32,
 }
 
@@ -27,7 +27,7 @@ const DEPTH = 5u;
 @group(0) @binding(2) var<storage, read> splats: array<Splat>;
 // Coverage and colour.
 @group(0) @binding(3) var<storage, read> colours: array<vec4f>;
-// Rows of material.
+// Attribute rows up to material.
 @group(0) @binding(4) var<storage, read> attributes: array<vec4f>;
 @group(0) @binding(5) var<storage, read> gaussian_of_rank: array<u32>;
 #ifdef OCCLUSION
@@ -37,7 +37,7 @@ const DEPTH = 5u;
 @group(0) @binding(8) var normals: texture_2d<f32>;
 #endif
 
-// Largest value of a half float, a little below: the target must not become infinite.
+// Slightly below the largest half float, so that the target cannot become infinite.
 const MAX_RADIANCE = 60000.0;
 
 struct Corner {
@@ -66,7 +66,7 @@ fn corner(@builtin(vertex_index) corner_ix: u32, @builtin(instance_index) rank_i
     let s = splats[gaussian_ix];
     var out: Corner;
     if s.flags != SPLAT_VISIBLE || s.n_tiles == 0u {
-        // Outside of what is drawn.
+        // Outside of the clip volume.
         out.position = vec4f(2.0, 2.0, 0.0, 1.0);
         return out;
     }

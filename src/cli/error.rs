@@ -10,5 +10,5 @@ pub(super) type CommandResult<T = ()> = Result<T, BoxError>;
 pub(super) const STOPPED: u8 = 75;
 
 /// The last paragraph of `--help`.
-pub(super) const EXIT_CODES: &str = "Exit codes: 0 success; 1 failure; 2 invalid usage; 75 stopped before the end, progress is saved: \
-    run the command again to continue.";
+pub(super) const EXIT_CODES: &str = "Exit codes: 0 success; 1 failure; 2 invalid usage; 75 stopped before the end, progress is \
+    saved: run the command again to continue.";

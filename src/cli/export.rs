@@ -23,7 +23,7 @@ pub(super) struct ExportArgs {
     /// Write a `.glb` with the surface as triangles and textures of base colour, metalness and roughness, instead of Gaussians.
     #[arg(long, conflicts_with_all = ["layer", "env", "flatten"])]
     mesh: bool,
-    /// Grid cells along the model's world from which the mesh is made, 16 to 512.
+    /// Resolution of the grid for the mesh: cells along the model's world, 16 to 512.
     #[arg(long, default_value_t = MeshOptions::default().cells as u32, value_parser = clap::value_parser!(u32).range(16..=512))]
     mesh_cells: u32,
     /// The colour of the Gaussians: `radiance` (as in the photographs), `relit` (see `--env`), `albedo`, `normal`, `roughness` or

@@ -1,4 +1,4 @@
-//! What each route asks of its caller, in one table, and the check.
+//! The access table with the requirement of each route, and its check.
 
 use std::sync::Arc;
 
@@ -17,20 +17,20 @@ use crate::server::signing_secret::{SigningSecret, digest};
 use crate::server::web;
 use relume_api::keys::Scope::{self, Admin, Metrics, Read, Render, Submit, Work};
 
-/// What a route asks for.
+/// The requirement of a route.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Access {
-    /// Nothing: everybody may call it.
+    /// No requirement.
     Open,
     /// A key with this scope.
     Needs(Scope),
-    /// A key with this scope or `admin`, of the tenant of whoever runs the server.
+    /// A key with this scope or `admin`, of the tenant `default` of the operator.
     Operator(Scope),
 }
 
 use Access::{Needs, Open, Operator};
 
-/// Every operation. Handlers of one that is missing here are given no caller and refuse to work.
+/// All operations. The handler of a missing operation gets no caller and fails.
 const TABLE: &[(Method, &str, Access)] = &[
     (Method::GET, "/healthz", Open),
     (Method::GET, "/readyz", Open),
@@ -113,28 +113,28 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::PUT, "/v1/work/{job}/files/{name}", Operator(Work)),
 ];
 
-/// The line of the table for a request that a route was found for.
+/// The entry of the table for a request with a matched route.
 fn access_of(request: &Request) -> Option<Access> {
     let route = request.extensions().get::<MatchedPath>()?;
     #[cfg(feature = "web")]
     if web::ROUTES.contains(&route.as_str()) {
         return Some(Open);
     }
-    // What answers GET answers HEAD.
+    // A handler of GET also answers HEAD.
     let method = if request.method() == Method::HEAD { &Method::GET } else { request.method() };
     TABLE.iter().find(|(m, path, _)| m == method && *path == route.as_str()).map(|line| line.2)
 }
 
-/// Who may make requests.
+/// The components of access control.
 pub(super) struct AccessControl {
     pub(super) keys: Arc<Keyring>,
-    /// Under which URLs are signed.
+    /// The secret for signing URLs.
     pub(super) signing: SigningSecret,
-    /// How many requests they may make.
+    /// The rate limits.
     pub(super) rate_limiter: RateLimiter,
 }
 
-/// Finds out who makes a request and lets it through if they may.
+/// Identifies the caller of a request and checks the access table.
 pub(super) async fn check(
     State(access_control): State<Arc<AccessControl>>,
     request: Request,
@@ -156,7 +156,7 @@ pub(super) async fn check(
 }
 
 impl AccessControl {
-    /// The request with its caller; how the caller's key stands is in `rate_limit` from then on.
+    /// The request with its caller. From then on `rate_limit` has the rate limit status of the caller's key.
     async fn admit(
         &self,
         access: Option<Access>,
@@ -174,14 +174,14 @@ impl AccessControl {
             Some(Needs(scope)) => caller.require_scope(scope)?,
             Some(Operator(scope)) => caller.require_operator(scope)?,
             Some(Open) => {}
-            // No such route, or not with this method: it is refused without asking who calls.
+            // No route matches the path and method, so the request is refused without identifying the caller.
             None => return Ok(request),
         }
         request.extensions_mut().insert(caller);
         Ok(request)
     }
 
-    /// Whoever signed the URL of a request, with leave to read and nothing else. What signing added is taken off the URL.
+    /// The caller of a signed URL, with the scope to read only. Removes the signature parameters from the URL.
     async fn signer(&self, request: &mut Request) -> Result<Caller, Problem> {
         let uri = request.uri().clone();
         let signed = SignedQuery::parse(uri.query()).ok_or_else(invalid_signature)?;
@@ -236,6 +236,6 @@ mod tests {
         }
         let listed: BTreeSet<_> = TABLE.iter().map(|(m, p, _)| (m.to_string(), (*p).to_owned())).collect();
         assert_eq!(listed, described);
-        assert_eq!(listed.len(), TABLE.len(), "a line stands twice");
+        assert_eq!(listed.len(), TABLE.len(), "an entry occurs twice");
     }
 }

@@ -23,19 +23,19 @@ use crate::store::{Store, UploadLimits};
 use crate::worker::DeviceHandle;
 use relume_capture::ImportLimits;
 
-/// What handlers share.
+/// The state that handlers share.
 pub(super) type AppState = Arc<App>;
 
-/// Bounds on what a request may bring.
+/// Limits of requests.
 #[derive(Debug, Clone, Copy)]
 pub struct RequestLimits {
-    /// Bytes of a capture archive.
+    /// Maximum bytes of a capture archive.
     pub capture_bytes: u64,
-    /// Bytes of an environment file.
+    /// Maximum bytes of an environment file.
     pub environment_bytes: u64,
-    /// Bytes that are stored together; the disk alone is the limit when absent.
+    /// Maximum bytes of all stored data; `None` if only the disk limits the storage.
     pub disk_bytes: Option<u64>,
-    /// Bytes of memory that requests take together.
+    /// Memory budget of all requests together, bytes.
     pub memory_bytes: u64,
 }
 
@@ -55,37 +55,37 @@ pub(super) struct App {
     pub(super) store: Store,
     pub(super) jobs: Jobs,
     pub(super) device: DeviceHandle,
-    /// Whether this server trains itself.
+    /// Whether this server has local workers.
     pub(super) trains: bool,
     pub(super) limits: RequestLimits,
     pub(super) upload_limits: UploadLimits,
-    /// Bounds on captures.
+    /// Limits of captures.
     pub(super) import_limits: ImportLimits,
-    /// What requests may borrow.
+    /// The memory budget of requests.
     pub(super) memory: MemoryBudget,
-    /// Thumbnails of models that were rendered, and of photographs.
+    /// Cached thumbnails of models and photographs.
     pub(super) thumbnails: ThumbnailCache,
-    /// Thumbnails that are being made, by digest.
+    /// Locks of thumbnails that are being made, by digest.
     pub(super) thumbnail_locks: KeyedLocks,
-    /// Captures whose photographs are being looked at.
+    /// Opened captures, for their photographs.
     pub(super) opened: OpenedCaptures,
-    /// Poses for photographs that come without.
+    /// The pose estimation of photographs without poses.
     pub(super) poses: PoseQueue,
-    /// Where frames are encoded.
+    /// Threads that encode frames.
     pub(super) encoders: Encoders,
-    /// Where uploads are decoded.
+    /// Threads that decode uploads.
     pub(super) decoders: Decoders,
-    /// Where requests and the exporter meet.
+    /// The queue between requests and the exporter.
     pub(super) exports: ExportQueue,
-    /// Who may make requests.
+    /// All API keys.
     pub(super) keys: Arc<Keyring>,
-    /// Under which URLs are signed.
+    /// The secret for signing URLs.
     pub(super) signing: SigningSecret,
-    /// Fetches captures.
+    /// Fetches captures from other servers.
     pub(super) fetcher: Fetcher,
-    /// What webhooks may do.
+    /// The policy for webhooks.
     pub(super) webhooks: WebhookPolicy,
-    /// Wakes whoever removes the files of what was deleted.
+    /// Wakes the garbage collector.
     pub(super) gc_wake: Arc<Notify>,
     /// Cancelled when the server begins to shut down.
     pub(super) stop: CancellationToken,

@@ -1,4 +1,4 @@
-//! Keys that a server is started with, and the rule about where a server without any may listen.
+//! Keys from the configuration of the server, and the rule for listening without keys.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -6,31 +6,30 @@ use std::sync::Arc;
 use sha2::{Digest, Sha256};
 use subtle::{ConditionallySelectable, ConstantTimeEq};
 
-/// Keys that are accepted beside those in the database, as hashes: the keys themselves are not stored.
+/// Keys that are accepted in addition to those in the database. Only their hashes are kept.
 #[derive(Clone, Default)]
 pub struct ApiKeys {
     hashes: Arc<[[u8; 32]]>,
 }
 
 impl ApiKeys {
-    /// Accepts bearers of any of `keys`.
+    /// Accepts the given keys.
     pub fn new<S: AsRef<str>>(keys: impl IntoIterator<Item = S>) -> Self {
         let hashes = keys.into_iter().map(|k| Sha256::digest(k.as_ref().trim()).into()).collect();
         Self { hashes }
     }
 
-    /// True when there is none.
+    /// Whether there are no keys.
     pub fn is_empty(&self) -> bool {
         self.hashes.is_empty()
     }
 
-    /// The hash of a key.
+    /// The hash of the key with this index.
     pub(super) fn hash(&self, index: usize) -> Option<&[u8; 32]> {
         self.hashes.get(index)
     }
 
-    /// Which of the keys this is. Compares with every hash, whichever matches, so that the time it takes does not depend on
-    /// the key.
+    /// The index of a key. Compares with every hash, so that the time does not depend on the key.
     pub(super) fn index(&self, key: &str) -> Option<usize> {
         let presented: [u8; 32] = Sha256::digest(key).into();
         let mut found = u64::MAX;
@@ -41,7 +40,7 @@ impl ApiKeys {
     }
 }
 
-/// Whether a server may listen at `address`.
+/// Whether a server may listen on `address`.
 pub(super) fn may_listen(address: SocketAddr, has_keys: bool) -> bool {
     address.ip().is_loopback() || has_keys
 }

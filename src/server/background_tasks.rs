@@ -1,5 +1,4 @@
-//! What one server of a database does beside answering: it removes what was deleted, tells webhooks, makes exports, and goes on with
-//! validations.
+//! Tasks that only the first server of a database runs: garbage collection, webhooks, exports, and interrupted validations.
 
 use tokio::task::JoinHandle;
 
@@ -16,7 +15,7 @@ pub(super) struct BackgroundTasks {
 }
 
 impl BackgroundTasks {
-    /// Starts them.
+    /// Starts the tasks.
     pub(super) fn begin(app: &AppState, retention: Retention) -> Self {
         let (jobs, stop) = (app.jobs.clone(), app.stop.clone());
         let garbage_collector =
@@ -26,14 +25,14 @@ impl BackgroundTasks {
         let export_task = tokio::spawn(exports::work(app.clone()));
         tokio::spawn(resume(app.clone()));
         let tasks = [
-            ("exports could not be given back", export_task),
-            ("webhooks could not be sent to the end", webhook_task),
-            ("what was deleted could not be swept to the end", gc_task),
+            ("the export task panicked", export_task),
+            ("the webhook task panicked", webhook_task),
+            ("the garbage collector panicked", gc_task),
         ];
         Self { tasks }
     }
 
-    /// Waits for their end.
+    /// Waits for the end of the tasks.
     pub(super) async fn end(self) {
         for (otherwise, task) in self.tasks {
             if task.await.is_err() {
@@ -43,10 +42,10 @@ impl BackgroundTasks {
     }
 }
 
-/// Goes on with what was being validated when a server ended.
+/// Continues the validations that a terminated server had begun.
 async fn resume(app: AppState) {
     app.poses.log_availability().await;
     if let Err(error) = validation::resume(app).await {
-        tracing::error!(%error, "captures that were being validated stay so until the next start");
+        tracing::error!(%error, "cannot resume the validation of captures; the next start resumes it");
     }
 }

@@ -1,4 +1,4 @@
-//! Who makes a request: the tenant whose things it may touch, and what it may do with them.
+//! The caller of a request: its tenant and its scopes.
 
 use axum::extract::FromRequestParts;
 use axum::http::StatusCode;
@@ -9,34 +9,33 @@ use crate::store::StoreError;
 use relume_api::keys::Scope;
 use relume_api::{KeyId, TenantId};
 
-/// What stands for a key where there is none.
+/// The key identifier of a caller without a key.
 pub(super) const NO_KEY: &str = "none";
 
-/// Keys that the server was started with are named so, with their number.
+/// Prefix of the identifiers of keys from the configuration; their number follows.
 pub(super) const CONFIGURED: &str = "configured-";
 
-/// Whoever makes a request. Handlers take it as an argument; there is one only where the table of `access` lets the
-/// request through.
+/// The caller of a request. Handlers take it as an argument; it exists only if the table in `access` permits the request.
 #[derive(Debug, Clone)]
 pub(super) struct Caller {
-    /// Whose things it may touch.
+    /// The tenant whose resources it may use.
     pub(super) tenant: TenantId,
-    /// What it may do.
+    /// Its scopes.
     pub(super) scopes: Vec<Scope>,
-    /// The key that it came with.
+    /// The identifier of its key.
     pub(super) key: KeyId,
-    /// Hash of that key; empty where there is none.
+    /// Hash of its key; empty without a key.
     pub(super) key_hash: String,
-    /// When that key, or the URL that it signed, expires.
+    /// Expiry time of its key or signed URL.
     pub(super) expires_ms: Option<i64>,
     /// False on a server without keys.
     pub(super) has_key: bool,
-    /// Hash of the secret under which its URL was signed, if it came by one.
+    /// Hash of the secret that signed its URL, if it uses a signed URL.
     pub(super) signed_under: Option<[u8; 32]>,
 }
 
 impl Caller {
-    /// Everybody on a server without keys.
+    /// The caller on a server without keys, with all scopes.
     pub(super) fn without_key() -> Self {
         Self {
             tenant: TenantId::of_operator(),
@@ -54,7 +53,7 @@ impl Caller {
         self.has_key && !self.key.as_str().starts_with(CONFIGURED)
     }
 
-    /// Adds the key's identifier and the tenant to every line of the log about this request.
+    /// Adds the key's identifier and the tenant to the log lines of this request.
     pub(super) fn record_in_span(&self) {
         let span = tracing::Span::current();
         span.record("key", self.key.as_str());
@@ -62,7 +61,7 @@ impl Caller {
     }
 
     /// # Errors
-    /// 403 that names the scope that is missing.
+    /// 403, which names the missing scope.
     pub(super) fn require_scope(&self, scope: Scope) -> Result<(), Problem> {
         if self.scopes.contains(&scope) {
             return Ok(());
@@ -73,12 +72,12 @@ impl Caller {
         )))
     }
 
-    /// Whether this is an administrator of the tenant of whoever runs the server.
+    /// Whether the caller is an administrator of the operator's tenant.
     pub(super) fn is_operator(&self) -> bool {
         self.tenant.is_operator() && self.scopes.contains(&Scope::Admin)
     }
 
-    /// What the store's refusal is to this caller: only whoever runs the server is told how much all tenants store.
+    /// The problem for an error of the store. Only the operator learns the stored bytes of all tenants.
     pub(super) fn problem_for(&self, error: StoreError) -> Problem {
         let numbers = matches!(error, StoreError::StorageLimitExceeded { .. }) && self.is_operator();
         let detail = numbers.then(|| error.to_string());
@@ -90,7 +89,7 @@ impl Caller {
     }
 
     /// # Errors
-    /// 403 unless this has the scope, or `admin`, of the tenant of whoever runs the server.
+    /// 403 unless the caller has the scope or `admin` in the operator's tenant.
     pub(super) fn require_operator(&self, scope: Scope) -> Result<(), Problem> {
         let permits = self.scopes.iter().any(|own| [scope, Scope::Admin].contains(own));
         if permits && self.tenant.is_operator() {

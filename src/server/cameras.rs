@@ -1,4 +1,4 @@
-//! `/v1/captures/{id}/cameras`: from where the photographs of a capture were taken.
+//! `/v1/captures/{id}/cameras`: the cameras of a capture's photographs.
 
 use axum::Json;
 use axum::extract::State;
@@ -25,7 +25,7 @@ pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(get_cameras))
 }
 
-/// How cameras are written.
+/// Form of the cameras.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -66,7 +66,7 @@ async fn get_cameras(
         StatusCode::NOT_MODIFIED.into_response()
     } else {
         match app.store.artifacts().verify(&record.artifact, &record.sha256).await {
-            // It was deleted meanwhile.
+            // The capture was deleted in the meantime.
             Err(StoreError::Missing(_)) if app.store.capture(&caller.tenant, &id).await?.is_none() => {
                 return Err(missing());
             }
@@ -86,7 +86,7 @@ async fn get_cameras(
     Ok(response)
 }
 
-/// A camera as the API has it.
+/// A camera in the form of the API.
 pub(super) fn view(photo: PhotoCamera, convention: CameraConvention) -> CapturedCamera {
     let camera = &photo.camera;
     CapturedCamera {

@@ -26,12 +26,12 @@ use relume_api::uploads::CaptureSource;
 use relume_api::{CaptureId, List, ResourceKind, ResourceName, TenantId};
 use relume_spec::CaptureReport;
 
-/// The routes of this file that take no archives.
+/// The routes of this file that accept no archives.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(list_captures)).routes(routes!(get_capture, change_capture))
 }
 
-/// The routes of this file that take archives.
+/// The routes of this file that accept archives.
 pub(super) fn uploads() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(upload_capture)).routes(routes!(validate_capture))
 }
@@ -94,7 +94,7 @@ async fn upload_capture(
             CaptureLookup::Existing(capture) => return Ok(Json(view(*capture)).into_response()),
             CaptureLookup::New(incoming) => *incoming,
         };
-        // Poses take longer than anybody waits for an answer.
+        // Pose estimation takes too long for a synchronous answer.
         let finds_poses = poses::needs_poses(&app, &incoming).await?;
         if !later && !finds_poses {
             break;
@@ -110,13 +110,13 @@ async fn upload_capture(
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
 }
 
-/// Whether there is a capture of some content.
+/// Whether a capture with some content exists.
 enum CaptureLookup {
     Existing(Box<CaptureRecord>),
     New(Box<StagedUpload>),
 }
 
-/// The capture of a tenant that has this content or was made of it, called what its sender calls it.
+/// The capture of a tenant with this content or made of it, with the given metadata.
 async fn look_up(
     app: &AppState,
     tenant: &TenantId,
@@ -124,11 +124,11 @@ async fn look_up(
     metadata: &ResourceMetadata,
 ) -> Result<CaptureLookup, Problem> {
     if let Some(same) = app.store.capture_by_hash(tenant, &incoming.sha256).await? {
-        // Before the upload is taken: it stays when the capture may not be called so.
+        // This comes before the upload is finalised, so that invalid metadata leave the upload unchanged.
         let same = with_metadata(app, tenant, same, metadata.clone()).await?;
         match app.store.repair_artifact(incoming, &same.artifact).await? {
             None => return Ok(CaptureLookup::Existing(Box::new(same))),
-            // It was deleted meanwhile.
+            // The capture was deleted in the meantime.
             Some(given_back) => incoming = given_back,
         }
     }
@@ -140,7 +140,7 @@ async fn look_up(
     Ok(CaptureLookup::New(Box::new(incoming)))
 }
 
-/// A capture that is known, called what its sender calls it.
+/// An existing capture, after its metadata are changed to those of the request.
 async fn with_metadata(
     app: &AppState,
     tenant: &TenantId,
@@ -210,9 +210,9 @@ async fn get_capture(
     find(&app, &caller.tenant, &id).await.map(Json)
 }
 
-/// A capture, also one that is being made or could not be.
+/// A capture in any state.
 async fn find(app: &AppState, tenant: &TenantId, id: &CaptureId) -> Result<CaptureSummary, Problem> {
-    // What is being made is asked for first: it becomes a capture, never the other way.
+    // The upload is queried first, because an upload can become a capture but not the reverse.
     let upload = app.store.upload_of_capture(tenant, id).await?;
     match (app.store.capture(tenant, id).await?, upload) {
         (Some(record), _) => Ok(view(record)),
@@ -264,7 +264,7 @@ async fn receive(app: &AppState, caller: &Caller, request: Request) -> Result<St
     file_body::receive(app, caller, request, &expected).await
 }
 
-/// The bytes that a body names.
+/// The bytes of the upload or URL in a body.
 async fn from_source(
     app: &AppState,
     caller: &Caller,

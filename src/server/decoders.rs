@@ -1,19 +1,19 @@
-//! Threads that decode uploads: apart from those of the engine, so that frames do not wait for them, and no more than there
-//! is memory for.
+//! Threads that decode uploads. They are separate from those of the engine, so that frames do not wait for them, and their number
+//! is limited by the memory.
 
 use std::sync::Arc;
 
 use crate::server::problem::Problem;
 
-/// Bytes that decoding one photograph takes at most: as it is stored, as floats, and reduced.
+/// Maximum bytes for decoding one photograph: as stored, as floats, and reduced.
 const ONE_PHOTOGRAPH: u64 = 1600 << 20;
 
-/// The threads.
+/// The decoding threads.
 #[derive(Clone)]
 pub(super) struct Decoders(Arc<rayon::ThreadPool>);
 
 impl Decoders {
-    /// At most half as many threads as there are processors, and no more than decode the largest photographs in a quarter of
+    /// Starts at most half as many threads as processors, and no more than can decode the largest photographs in a quarter of
     /// `memory` bytes; at least one.
     ///
     /// # Errors
@@ -25,10 +25,10 @@ impl Decoders {
         Ok(Self(Arc::new(pool.build().map_err(std::io::Error::other)?)))
     }
 
-    /// Runs `work` on the threads; whatever it does in parallel stays there.
+    /// Runs `work` on the threads, including its parallel parts.
     ///
     /// # Errors
-    /// 500 when it panicked.
+    /// 500 if `work` panics.
     pub(super) async fn run<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> T + Send + 'static,
@@ -36,7 +36,7 @@ impl Decoders {
         let (answer, answered) = tokio::sync::oneshot::channel();
         self.0.spawn(move || {
             let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
-            // Nobody listens any more when the client has gone.
+            // The client may have disconnected.
             let _ = answer.send(done);
         });
         match answered.await {
@@ -74,6 +74,6 @@ mod tests {
         assert!(inside.iter().all(|name| name == "decoder-0"), "{inside:?}");
         assert!(!names().contains(&"decoder-0".to_owned()), "the control");
         assert_eq!(decoders.run(|| panic!("broken")).await.map(|()| 0).unwrap_err().status, 500);
-        assert_eq!(decoders.run(|| 7).await.unwrap(), 7, "the threads live on");
+        assert_eq!(decoders.run(|| 7).await.unwrap(), 7, "the threads continue after a panic");
     }
 }

@@ -17,7 +17,7 @@ use crate::server::problem::Problem;
 use crate::store::Deletion;
 use relume_api::{CaptureId, ResourceKind, ResourceName};
 
-/// How often, and how many times, it is asked whether work that was cancelled has ended.
+/// Interval and number of checks whether cancelled work has ended.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 const MAX_POLLS: u32 = 200;
 
@@ -145,7 +145,7 @@ async fn delete(
     }
 }
 
-/// Deletes a capture that could not be made, or that poses are being found for, with its upload.
+/// Deletes a capture that is invalid, or whose poses are being found, with its upload.
 pub(super) async fn delete_unfinished_capture(
     app: &AppState,
     caller: &Caller,
@@ -157,7 +157,7 @@ pub(super) async fn delete_unfinished_capture(
     for _ in 0..MAX_POLLS {
         if app.store.drop_invalid(&upload).await? {
             poses::remove_folder(&app.store, &id).await;
-            // It may have become one meanwhile.
+            // It may have become a capture in the meantime.
             let what = ResourceName::new(ResourceKind::Capture, id.to_string());
             app.jobs.delete(&caller.tenant, &what, false).await?;
             return Ok(StatusCode::NO_CONTENT);

@@ -1,4 +1,4 @@
-//! Turns of large frames on their way into files: a few at a time, so that small ones find a processor.
+//! Encoding of frames. Only a few large frames are encoded at the same time, so that processors remain for small frames.
 
 use std::sync::Arc;
 
@@ -10,24 +10,24 @@ use crate::server::problem::Problem;
 use relume_spec::rendering::{FrameFormat, Output};
 use relume_train::render::{EncodeOptions, EncodedFrame, Frame, encode_wanted_frame};
 
-/// Most values of a frame that is encoded at once, whatever else is: 512 x 512 pixels of colour and alpha.
+/// Maximum number of values of a frame that is encoded without a limit: 512 x 512 pixels of colour and alpha.
 const AT_ONCE: u64 = 1 << 20;
 
-/// What turns are taken of.
+/// The concurrency limit of large frames.
 #[derive(Clone)]
 pub(super) struct Encoders(Arc<Semaphore>);
 
 impl Encoders {
-    /// Half as many large frames at a time as there are processors, at least one.
+    /// Permits half as many concurrent large frames as processors, at least one.
     pub(super) fn new() -> Self {
         let processors = std::thread::available_parallelism().map_or(1, usize::from);
         Self(Arc::new(Semaphore::new((processors / 2).max(1))))
     }
 
-    /// The file of a frame; `memory` is what was borrowed for both. When the future is dropped, the work ends soon.
+    /// Encodes a frame to a file; `memory` is the permit for both. If the future is dropped, the work stops soon.
     ///
     /// # Errors
-    /// 500 when the encoder fails.
+    /// 500 if the encoder fails.
     pub(super) async fn encode(
         &self,
         frame: Frame,
@@ -45,7 +45,7 @@ impl Encoders {
         let span = tracing::info_span!("encode");
         let work = move || {
             let _span = span.entered();
-            // Both are held until the work has ended, not only while somebody waits for it.
+            // Both are held until the work has ended, even if the caller no longer waits.
             let _held = (memory, permit);
             encode_wanted_frame(&frame, &outputs, format, &encoding, &|| !gone.is_cancelled())
         };
@@ -84,7 +84,7 @@ mod tests {
         let taken = encoders.0.clone().acquire_owned().await.unwrap();
         assert!(encode(&encoders, 64).await.is_ok());
         let large = tokio::time::timeout(Duration::from_millis(50), encode(&encoders, 1024)).await;
-        assert!(large.is_err(), "it waits");
+        assert!(large.is_err(), "it must wait");
         drop(taken);
         assert!(encode(&encoders, 1024).await.is_ok());
     }
@@ -93,7 +93,7 @@ mod tests {
     async fn encoder_permit_is_released_when_the_client_disconnects() {
         let encoders = Encoders(Arc::new(Semaphore::new(1)));
         let begun = tokio::time::timeout(Duration::from_millis(5), encode(&encoders, 2048)).await;
-        assert!(begun.is_err(), "nobody encodes four million pixels in five milliseconds");
+        assert!(begun.is_err(), "encoding four million pixels takes more than five milliseconds");
         assert!(encode(&encoders, 1024).await.is_ok());
     }
 }

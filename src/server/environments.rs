@@ -24,17 +24,17 @@ use relume_api::{EnvironmentId, ResourceKind, ResourceName, TenantId};
 use relume_capture::BUILTIN;
 use relume_capture::formats::environment::{self, EnvironmentFileError, LoadedEnvironment};
 
-/// Bytes from a file's begin that hold its header.
+/// Number of bytes at the beginning of a file that contain its header.
 const HEAD: u64 = 1 << 20;
 
-/// The routes of this file that take no maps.
+/// The routes of this file that accept no maps.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(list_environments))
         .routes(routes!(get_environment, change_environment))
 }
 
-/// The route of this file that takes a map.
+/// The route of this file that accepts a map.
 pub(super) fn uploads() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(upload_environment))
 }
@@ -68,7 +68,7 @@ async fn upload_environment(
         let known = with_metadata(&app, &caller.tenant, known, metadata.clone()).await?;
         match app.store.repair_artifact(incoming, &known.artifact).await? {
             None => return Ok(Json(view(known)).into_response()),
-            // It was deleted meanwhile.
+            // The map was deleted in the meantime.
             Some(given_back) => incoming = given_back,
         }
     }
@@ -90,7 +90,7 @@ async fn upload_environment(
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
 }
 
-/// A map that is known, called what its sender calls it.
+/// An existing map, after its metadata are changed to those of the request.
 async fn with_metadata(
     app: &AppState,
     tenant: &TenantId,
@@ -184,7 +184,7 @@ async fn validate(app: &AppState, incoming: &StagedUpload) -> Result<(i64, i64, 
     Ok((map.width() as i64, map.height() as i64, warnings))
 }
 
-/// Decodes a map that came with a request, with memory for it borrowed meanwhile.
+/// Decodes a map from a request, with a permit for the memory.
 pub(super) async fn decode(app: &AppState, bytes: Vec<u8>) -> Result<LoadedEnvironment, Problem> {
     let _texels = app.memory.reserve(environment::decoding_bytes(&bytes).map_err(refused)?).await?;
     app.decoders.run(move || environment::decode(&bytes)).await?.map_err(refused)

@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/events`: a job's past and future events, as server-sent events.
+//! `/v1/jobs/{id}/events`: past and new events of a job, as server-sent events.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -24,9 +24,9 @@ use crate::server::signing_secret::digest;
 use crate::store::{EventRecord, StoreError};
 use relume_api::{JobId, KeyId, TenantId};
 
-/// How long a listener waits for a notification before it queries the database.
+/// Time for which a listener waits for a notification before it queries the database.
 const POLL: Duration = Duration::from_secs(2);
-/// Time between comments that keep idle connections open.
+/// Interval of comments that keep idle connections open.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
 /// The routes of this file.
@@ -99,21 +99,21 @@ async fn job_events(
     Ok(Sse::new(stream).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
 }
 
-/// An event as it is sent: its data with the time of the event.
+/// An event in the form of the stream: its data with its time.
 fn sse(event: EventRecord) -> Event {
     let mut data: serde_json::Value = serde_json::from_str(&event.data).unwrap_or_default();
     data["at"] = rfc3339(event.at_ms).into();
     Event::default().id(event.seq.to_string()).event(event.kind).data(data.to_string())
 }
 
-/// Follows one job. Events come from the database; the channel only says when to query it.
+/// The event stream of one job. Events are read from the database; the channel only announces changes.
 struct JobEventStream {
     app: AppState,
     tenant: TenantId,
     key: KeyId,
-    /// When the key or the signed URL expires.
+    /// Expiry time of the key or the signed URL.
     expires_ms: Option<i64>,
-    /// Hash of the secret under which the URL was signed.
+    /// Hash of the secret that signed the URL.
     signed_under: Option<[u8; 32]>,
     id: JobId,
     after: i64,
@@ -122,7 +122,7 @@ struct JobEventStream {
 }
 
 impl JobEventStream {
-    /// The next event; `None` when there will be none.
+    /// The next event; `None` at the end of the stream.
     async fn next(&mut self) -> Option<Event> {
         loop {
             if let Some(event) = self.waiting.pop_front() {
@@ -133,14 +133,14 @@ impl JobEventStream {
                 Ok(true) => {}
                 Ok(false) => return None,
                 Err(error) => {
-                    tracing::error!(%error, "events cannot be read");
+                    tracing::error!(%error, "cannot read events");
                     return None;
                 }
             }
         }
     }
 
-    /// Whether the key, and the signed URL if it came by one, are still good.
+    /// Whether the key, and the signed URL if one is used, are still valid.
     async fn may_listen(&self) -> Result<bool, StoreError> {
         let is_over = self.expires_ms.is_some_and(|end| self.app.keys.now_ms() >= end);
         if is_over || self.app.keys.bearer_of(self.key.as_str()).await?.is_none() {
@@ -151,13 +151,13 @@ impl JobEventStream {
         Ok(secret.is_some_and(|secret| digest(&secret) == under))
     }
 
-    /// Fetches what is new, or waits for it; `false` when nothing can follow, or the listener may not hear it any more.
+    /// Fetches new events or waits for them; `false` if the stream ends or the listener is no longer permitted to read it.
     async fn fetch(&mut self) -> Result<bool, StoreError> {
         self.changes.mark_unchanged();
         if !self.may_listen().await? {
             return Ok(false);
         }
-        // The state first: a job that is terminal now has written its last event already.
+        // The state is read first: the last event of a terminal job is then already written.
         let job = self.app.store.job(&self.tenant, &self.id).await?;
         self.waiting = self.app.jobs.events_after(&self.tenant, &self.id, self.after).await?.into();
         if !self.waiting.is_empty() {

@@ -1,4 +1,4 @@
-//! Extractors whose refusals are problems that name the field.
+//! Extractors whose errors are problems that name the field.
 
 use std::error::Error;
 
@@ -19,7 +19,7 @@ use crate::server::problem::Problem;
 /// A JSON body of at most `LIMIT` bytes.
 pub(super) struct JsonBody<T, const LIMIT: usize = 65_536>(pub(super) T);
 
-/// A JSON body of at most `LIMIT` bytes, with the memory borrowed that it takes until this is dropped.
+/// A JSON body of at most `LIMIT` bytes, with the permit for its memory until this is dropped.
 pub(super) struct LargeJson<T, const LIMIT: usize>(pub(super) T, pub(super) MemoryPermit);
 
 impl<T: DeserializeOwned, const LIMIT: usize> FromRequest<AppState> for LargeJson<T, LIMIT> {
@@ -36,12 +36,12 @@ impl<T: DeserializeOwned, const LIMIT: usize> FromRequest<AppState> for LargeJso
 /// A query string.
 pub(super) struct QueryString<T>(pub(super) T);
 
-/// The query string of a route that takes none.
+/// The query string of a route without parameters.
 #[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct NoQuery {}
 
-/// What the path names.
+/// The parameters of the path.
 pub(super) struct UrlPath<T>(pub(super) T);
 
 impl<S: Send + Sync, T: DeserializeOwned + Send> FromRequestParts<S> for UrlPath<T> {
@@ -78,7 +78,7 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for QueryString<T>
             Err(rejection) => {
                 let text = rejection.body_text();
                 let detail = text.rsplit_once("query string: ").map_or(text.as_str(), |(_, d)| d);
-                // Other words than names of fields are quoted, too, e.g. the values of a boolean.
+                // serde also quotes words that are not field names, e.g. the values of a boolean.
                 let field = quoted(detail).filter(|_| detail.contains(" field `"));
                 let name = field.or_else(|| detail.split_once(": ").map(|(name, _)| name));
                 Err(Problem::invalid_field(format!("query/{}", name.unwrap_or_default()), detail))
@@ -92,7 +92,7 @@ pub(super) fn content_length(headers: &HeaderMap) -> Option<u64> {
     headers.get(header::CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
 }
 
-/// The media type of a body without its parameters, lower case.
+/// The media type of a body without its parameters, in lower case.
 pub(super) fn media_type(headers: &HeaderMap) -> Option<String> {
     let value = headers.get(header::CONTENT_TYPE)?.to_str().ok()?;
     Some(value.split(';').next()?.trim().to_ascii_lowercase())
@@ -108,7 +108,7 @@ async fn json_bytes(request: Request, limit: usize) -> Result<Bytes, Problem> {
     axum::body::to_bytes(request.into_body(), limit).await.map_err(|e| body_broken(&e, limit))
 }
 
-/// Why a body did not arrive whole.
+/// The problem of a body that was not received completely.
 fn body_broken(error: &axum::Error, limit: usize) -> Problem {
     if caused_by::<LengthLimitError>(error) {
         return Problem::too_large(limit as u64);
@@ -120,17 +120,17 @@ fn body_broken(error: &axum::Error, limit: usize) -> Problem {
         .detail(error.to_string())
 }
 
-/// What is said of a body that stopped arriving.
+/// The detail for a body that stopped arriving.
 pub(super) const STALLED: &str = "the rest of the body did not arrive in time";
 
-/// True when an error of type `E` is among the causes.
+/// Whether an error of type `E` is among the causes.
 pub(super) fn caused_by<E: Error + 'static>(error: &(dyn Error + 'static)) -> bool {
     std::iter::successors(Some(error), |e| (*e).source()).any(|e| e.is::<E>())
 }
 
-/// Parses JSON; an error says where in the document it is.
+/// Parses JSON. An error contains the position in the document.
 pub(super) fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
-    // Or a list would be read as the fields of an object in their order.
+    // Otherwise a list would be accepted as the fields of an object in order.
     if bytes.trim_ascii_start().first() == Some(&b'[') {
         return Err(Problem::invalid_field("", "must be an object"));
     }
@@ -140,7 +140,7 @@ pub(super) fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     Ok(value)
 }
 
-/// Reads JSON that was parsed; an error says where in the document it is.
+/// Deserialises parsed JSON. An error contains the position in the document.
 pub(super) fn read<T: DeserializeOwned>(json: serde_json::Value) -> Result<T, Problem> {
     serde_path_to_error::deserialize(json).map_err(wrong_field)
 }
@@ -177,7 +177,7 @@ fn pointer(path: &serde_path_to_error::Path) -> String {
         .collect()
 }
 
-/// The first name that serde put in backticks.
+/// The first name in backticks in a message of serde.
 fn quoted(text: &str) -> Option<&str> {
     text.split('`').nth(1)
 }
@@ -209,7 +209,7 @@ mod tests {
         assert_eq!(refusal(r#"{"inner":[{"size":1},{"size":-1}]}"#), (422, "/inner/1/size".into()));
         assert_eq!(refusal(r#"{"inner":[{"size":1,"a/b":2}]}"#), (422, "/inner/0/a~1b".into()));
         assert_eq!(refusal(r#"{"inner":[{}]}"#), (422, "/inner/0/size".into()));
-        assert_eq!(refusal(r#" [[{"size":1}]]"#), (422, String::new()), "a list is no object");
+        assert_eq!(refusal(r#" [[{"size":1}]]"#), (422, String::new()), "a list is not an object");
         assert_eq!(refusal(r"{}"), (422, "/inner".into()));
     }
 

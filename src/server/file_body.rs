@@ -1,4 +1,4 @@
-//! Bodies that are files: raw, or one field of a multipart form. They stream to disk and are hashed on the way.
+//! Bodies that are files, raw or in one field of a multipart form. They are streamed to disk and hashed.
 
 use std::error::Error;
 
@@ -15,22 +15,22 @@ use crate::server::file_form;
 use crate::server::problem::Problem;
 use crate::store::StagedUpload;
 
-/// What a route accepts.
+/// The body that a route accepts.
 pub(super) struct AcceptedBody {
     /// Name of the multipart field.
     pub(super) field: &'static str,
     /// Media types of a raw body.
     pub(super) media_types: &'static [&'static str],
-    /// Whether a form may have single files instead.
+    /// Whether a form may contain single files instead.
     pub(super) takes_files: bool,
-    /// Most bytes.
+    /// Maximum bytes.
     pub(super) limit: u64,
 }
 
-/// Bytes of multipart boundaries and headers that a declared length may have beyond the file.
+/// Maximum bytes by which a declared length may exceed the file, for multipart boundaries and headers.
 const FORM_OVERHEAD: u64 = 65_536;
 
-/// Receives the request's file. After an error nothing of it is left on disk.
+/// Receives the file of a request. After an error nothing of it is left on disk.
 pub(super) async fn receive(
     app: &AppState,
     caller: &Caller,
@@ -41,7 +41,7 @@ pub(super) async fn receive(
     if declared.is_some_and(|n| n > expected.limit + FORM_OVERHEAD) {
         return Err(Problem::too_large(expected.limit));
     }
-    // What is known to be too much is not begun.
+    // A body that is known to be too large is refused before its transfer.
     let least = declared.unwrap_or(0).saturating_sub(FORM_OVERHEAD);
     app.store.admit_bytes_of(&caller.tenant, least).await?;
     app.store.admit_bytes(least).await.map_err(|error| caller.problem_for(error))?;

@@ -1,4 +1,4 @@
-//! Forms of single files, e.g. photographs and their `transforms.json`: they become a tar on their way to the disk.
+//! Forms of single files, e.g. photographs and their `transforms.json`. They are packed into a tar while they are received.
 
 use std::io::{self, SeekFrom};
 use std::path::PathBuf;
@@ -16,14 +16,14 @@ use crate::server::extract::{STALLED, caused_by};
 use crate::server::problem::Problem;
 use crate::store::{StagedUpload, StoreError};
 
-/// Name of the form's fields.
+/// Name of the form fields.
 pub(super) const FIELD: &str = "files";
-/// Size of a tar's records, bytes.
+/// Size of a tar record, bytes.
 const RECORD: usize = 512;
-/// Bytes that are taken from a file at once.
+/// Maximum bytes read from a file at once.
 const CHUNK: usize = 1 << 18;
 
-/// Why no tar could be made.
+/// Why a form cannot be packed.
 #[derive(Debug, thiserror::Error)]
 enum FormError {
     #[error("{}", .0.body_text())]
@@ -51,9 +51,9 @@ impl FormError {
     }
 }
 
-/// A file of the form, on disk without a name: it is gone when this is, also when the server is killed.
+/// A file of the form, on disk without a name, so that it is removed when this is dropped or the server is killed.
 pub(super) struct Spooled {
-    /// Path within the tar.
+    /// Path in the tar.
     name: String,
     file: tokio::fs::File,
     bytes: u64,
@@ -61,7 +61,7 @@ pub(super) struct Spooled {
     left: u64,
 }
 
-/// What comes next of the tar.
+/// The next part of the tar.
 enum TarState {
     Header(Spooled),
     Content(Spooled),
@@ -70,14 +70,14 @@ enum TarState {
     End,
 }
 
-/// Where files wait until their size is known, and how large one may be.
+/// The folder for files until their size is known, and the maximum size of one.
 struct Spool {
     folder: PathBuf,
     limit: u64,
 }
 
-/// Receives the files of a form as a tar of them in their order: `first`, and what `form` has beside it. After an error nothing
-/// of it is left on disk.
+/// Receives the files of a form as a tar with the files in order: `first`, then the rest of `form`. After an error nothing of it
+/// is left on disk.
 pub(super) async fn receive(
     app: &AppState,
     caller: &Caller,
@@ -99,7 +99,7 @@ pub(super) async fn receive(
     })
 }
 
-/// Takes the first file of a form in.
+/// Receives the first file of a form.
 pub(super) async fn first(app: &AppState, caller: &Caller, field: Field<'_>) -> Result<Spooled, Problem> {
     Spool::of(app).take(field).await.map_err(|fault| fault.problem(caller))
 }
@@ -134,7 +134,7 @@ impl Spool {
         Self { folder, limit: app.import_limits.max_entry_bytes }
     }
 
-    /// Takes a file in, to its end.
+    /// Receives a whole file.
     async fn take(&self, mut field: Field<'_>) -> Result<Spooled, FormError> {
         let name = field.name().unwrap_or_default();
         let wrong = |detail: &str| FormError::File { pointer: format!("/{name}"), detail: detail.to_owned() };
@@ -162,7 +162,7 @@ impl Spool {
 }
 
 impl Spooled {
-    /// The next of its bytes, after the last of which its last record is filled with zeros.
+    /// The next chunk of bytes. The last record is filled with zeros.
     async fn chunk(&mut self) -> Result<Vec<u8>, FormError> {
         let take = self.left.min(CHUNK as u64) as usize;
         let mut bytes = vec![0; take];
@@ -175,7 +175,7 @@ impl Spooled {
     }
 }
 
-/// The header of a file in a tar, and what comes before it where its name is long.
+/// The tar header of a file, with the extension for a long name if needed.
 fn header(spooled: &Spooled) -> Result<Vec<u8>, FormError> {
     let mut header = tar::Header::new_gnu();
     header.set_size(spooled.bytes);
@@ -186,7 +186,7 @@ fn header(spooled: &Spooled) -> Result<Vec<u8>, FormError> {
         pointer: format!("/{FIELD}"),
         detail: format!("{:?} is not a valid path of a file in a capture: {error}", spooled.name),
     })?;
-    // `into_inner` ends the tar with two empty records.
+    // `into_inner` appends two empty records.
     let mut bytes = tar.into_inner()?;
     bytes.truncate(bytes.len() - 2 * RECORD);
     Ok(bytes)

@@ -21,7 +21,7 @@ use crate::server::problem::Problem;
 use crate::store::ModelFile;
 use relume_api::ModelId;
 
-/// How long a URL of the object store lets a caller begin to read.
+/// Validity of a URL of the object store.
 const SIGNED_URL_LIFETIME: Duration = Duration::from_secs(900);
 const REPR_DIGEST: HeaderName = HeaderName::from_static("repr-digest");
 
@@ -62,7 +62,7 @@ async fn get_file(
     .await
 }
 
-/// How a file is asked for.
+/// The conditions of a request for a file.
 pub(super) struct FileRequest {
     method: Method,
     headers: HeaderMap,
@@ -77,18 +77,18 @@ impl<S: Sync> FromRequestParts<S> for FileRequest {
 }
 
 impl FileRequest {
-    /// Whether the caller goes on where an answer leads. A browser is served from here: scripts may ask this server alone, and a file
-    /// from elsewhere would be saved under the name that it has there. What an object store signs is for `GET`.
+    /// Whether the caller follows a redirect. Browsers are not redirected: scripts may only request this server, and a redirected
+    /// file would be saved under its name in the object store. A URL of an object store is valid only for `GET`.
     fn accepts_redirect(&self) -> bool {
         self.method == Method::GET && !self.headers.contains_key("sec-fetch-mode")
     }
 }
 
-/// A file, or the part of it that is asked for, or where the object store has it. `check` compares its bytes with their hash, before any
-/// are sent from here.
+/// Answers with a file, its requested range, or a redirect to the object store. `check` verifies its hash before any bytes are
+/// sent from this server.
 ///
 /// # Errors
-/// Those of `check`; when the file cannot be read.
+/// The errors of `check`. When the file cannot be read.
 pub(super) async fn send(
     app: &AppState,
     asked: &FileRequest,
@@ -125,7 +125,7 @@ pub(super) async fn send(
     Ok(response)
 }
 
-/// Where the object store has a file. The validator and the digest are those of the file: whoever follows can compare.
+/// A redirect to the object store. The validator and the digest are those of the file, so that the client can compare them.
 fn redirect(file: &ModelFile, etag: &str, url: &str) -> Result<Response, Problem> {
     let mut response = StatusCode::TEMPORARY_REDIRECT.into_response();
     describe(response.headers_mut(), file, etag);
@@ -141,7 +141,7 @@ pub(super) fn etag(sha256: &str) -> String {
     format!("\"{sha256}\"")
 }
 
-/// True when the caller has this content already.
+/// Whether the caller already has this content.
 pub(super) fn matches_etag(headers: &HeaderMap, etag: &str) -> bool {
     let values = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok());
     values.flat_map(|v| v.split(',')).map(str::trim).any(|v| v == "*" || v.trim_start_matches("W/") == etag)
@@ -189,7 +189,7 @@ enum Requested {
     Unsatisfiable,
 }
 
-/// Which bytes to send. What is not a single well-formed byte range is ignored, as RFC 9110 allows.
+/// The bytes to send. A header that is not a single well-formed byte range is ignored, as RFC 9110 permits.
 fn requested(headers: &HeaderMap, etag: &str, size: u64) -> Requested {
     let text = |name| headers.get(name).and_then(|v: &HeaderValue| v.to_str().ok());
     if text(header::IF_RANGE).is_some_and(|v| v != etag) {

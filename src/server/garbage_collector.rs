@@ -1,4 +1,4 @@
-//! Looks after what is stored: deletes what was kept for long enough and removes the files of what was deleted.
+//! The garbage collector: deletes resources beyond their retention, and removes the files of deleted resources.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,12 +11,12 @@ use crate::server::poses;
 use crate::server::thumbnail_cache::ThumbnailCache;
 use crate::store::Retention;
 
-/// Time between two looks when nobody asks for one.
+/// Time between two runs without a notification.
 const INTERVAL: Duration = Duration::from_secs(10);
-/// The same while something deleted is still in use.
+/// Time between two runs while a deleted resource is still in use.
 const WHILE_WAITING: Duration = Duration::from_millis(500);
 
-/// Who looks after it.
+/// The state of the garbage collector.
 pub(super) struct GarbageCollector {
     pub(super) jobs: Jobs,
     pub(super) retention: Retention,
@@ -24,9 +24,9 @@ pub(super) struct GarbageCollector {
 }
 
 impl GarbageCollector {
-    /// Works until `stop` is cancelled; `wake` asks for a look at once.
+    /// Runs until `stop` is cancelled; `wake` starts a run immediately.
     pub(super) async fn run(self, wake: Arc<Notify>, stop: CancellationToken) {
-        // A server that died may have left thumbnails of what it had swept.
+        // A terminated server may have left thumbnails of deleted resources.
         self.clear_thumbnails().await;
         loop {
             let pause = self.collect().await;
@@ -38,10 +38,10 @@ impl GarbageCollector {
         }
     }
 
-    /// One look; how long to wait for the next.
+    /// Performs one run. Returns the time until the next.
     async fn collect(&self) -> Duration {
         if let Err(error) = poses::remove_leftovers(self.jobs.store()).await {
-            tracing::error!(%error, "what COLMAP left cannot be removed yet");
+            tracing::error!(%error, "cannot remove leftover files of COLMAP yet");
         }
         match self.jobs.collect_garbage(&self.retention).await {
             Ok(swept) => {
@@ -51,20 +51,20 @@ impl GarbageCollector {
                 if swept.waiting > 0 { WHILE_WAITING } else { INTERVAL }
             }
             Err(error) => {
-                tracing::error!(%error, "what was deleted cannot be swept yet");
+                tracing::error!(%error, "cannot remove the files of deleted resources yet");
                 INTERVAL
             }
         }
     }
 
-    /// Removes thumbnails of models and captures that there are no longer.
+    /// Removes thumbnails of deleted models and captures.
     async fn clear_thumbnails(&self) {
         if self.thumbnails.is_empty() {
             return;
         }
         match self.jobs.store().ids_with_thumbnails().await {
             Ok(shown) => self.thumbnails.keep_only(shown).await,
-            Err(error) => tracing::error!(%error, "thumbnails of what was deleted cannot be removed yet"),
+            Err(error) => tracing::error!(%error, "cannot remove thumbnails of deleted resources yet"),
         }
     }
 }

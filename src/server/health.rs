@@ -1,4 +1,4 @@
-//! `/healthz`, `/readyz`, `/metrics` and the API's own description.
+//! `/healthz`, `/readyz`, `/metrics` and the description of the API.
 
 use std::time::Instant;
 
@@ -91,7 +91,7 @@ async fn prometheus(State(app): State<AppState>) -> Result<Response, Problem> {
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response())
 }
 
-/// How the fleet stands, and how long the queue has been waiting for it.
+/// Records the states of the workers and the waiting time of the oldest queued job.
 async fn record_worker_metrics(app: &AppState) -> Result<(), Problem> {
     let asked = Instant::now();
     app.store.ping().await?;

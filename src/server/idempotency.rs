@@ -1,4 +1,4 @@
-//! Requests that queue something once, however often they are sent: `Idempotency-Key`.
+//! Idempotent requests that queue something: the header `Idempotency-Key`.
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -11,10 +11,10 @@ use crate::store::{IdempotencyKey, hex};
 const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 const REPLAYED: HeaderName = HeaderName::from_static("idempotent-replayed");
 
-/// The key with a hash of what the request means, so that white space does not make another request of it.
+/// The key, with a hash of the parsed request, so that white space does not matter.
 ///
 /// # Errors
-/// 422 for a key that is none.
+/// 422 for an invalid key.
 pub(super) fn key(headers: &HeaderMap, request: &impl Serialize) -> Result<Option<IdempotencyKey>, Problem> {
     let Some(value) = headers.get(IDEMPOTENCY_KEY) else { return Ok(None) };
     let key = value.to_str().ok().filter(|k| (1..=255).contains(&k.len()));
@@ -26,7 +26,7 @@ pub(super) fn key(headers: &HeaderMap, request: &impl Serialize) -> Result<Optio
     }))
 }
 
-/// The answer `text`, a thing with an `id` below `path` that was queued, now or by an earlier request with the same key.
+/// The answer `text` with the `id` of a resource below `path`, which was queued now or by an earlier request with the same key.
 pub(super) fn accepted(text: String, replayed: bool, path: &str) -> Result<Response, Problem> {
     let json = HeaderValue::from_static("application/json");
     let thing: serde_json::Value = serde_json::from_str(&text).map_err(Problem::internal)?;

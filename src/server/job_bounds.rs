@@ -1,15 +1,15 @@
-//! What a job may ask of this server's device. Preparing and single steps cannot be interrupted, so that one job must not
-//! be able to keep the device from all others for minutes.
+//! Limits of a job for the device of this server. Preparation and single steps cannot be interrupted, so a job must not occupy
+//! the device for minutes.
 
 use crate::server::problem::Problem;
 use relume_spec::training::TrainConfig;
 
-/// The most a job may ask of an engine.
+/// The limits of a job on an engine.
 struct JobLimits {
     engine: &'static str,
     gaussians: u32,
     resolution: u32,
-    /// Gaussians times probe directions: each pair is a ray of one refresh.
+    /// Number of Gaussians times probe directions: each pair is a ray of one measurement of the visibility.
     rays: u64,
 }
 
@@ -17,7 +17,7 @@ const CPU: JobLimits = JobLimits { engine: "CPU", gaussians: 200_000, resolution
 const GPU: JobLimits = JobLimits { engine: "GPU", gaussians: 4_000_000, resolution: 8192, rays: 512 << 20 };
 
 /// # Errors
-/// Names the override that asks for too much.
+/// Names the override that exceeds a limit.
 pub(super) fn check(config: &TrainConfig, on_gpu: bool) -> Result<(), Problem> {
     let most = if on_gpu { GPU } else { CPU };
     let rays = most.rays / u64::from(config.max_gaussians.max(1));

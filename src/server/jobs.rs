@@ -1,4 +1,4 @@
-//! `/v1/jobs`: trainings, queued and run one after another.
+//! `/v1/jobs`: the queue of trainings.
 
 use axum::Json;
 use axum::extract::State;
@@ -24,7 +24,7 @@ use relume_api::{EnvironmentId, JobId, List, ResourceKind, TenantId};
 use relume_capture::BUILTIN;
 use relume_spec::training::{ConfigError, KnownLight, TrainConfig};
 
-/// Where jobs are.
+/// Path of jobs.
 const JOBS: &str = "/v1/jobs";
 const PRIORITIES: std::ops::RangeInclusive<i64> = -100..=100;
 
@@ -88,7 +88,7 @@ async fn create_job(
     headers: HeaderMap,
     JsonBody(job): JsonBody<NewJob>,
 ) -> Result<Response, Problem> {
-    // A repetition is answered as the first time, whatever has changed since.
+    // A repeated request gets the first answer, even if the state has changed since.
     let key = idempotency::key(&headers, &job)?;
     if let Some(key) = &key
         && let Some(answer) = app.store.replayed(&caller.tenant, key, app.jobs.now_ms()).await?
@@ -177,7 +177,7 @@ async fn change_job(
 ) -> Result<Json<JobView>, Problem> {
     if let Some(priority) = change.priority {
         check_priority(&caller, priority)?;
-        // Before anything is changed.
+        // This check comes before any change.
         must_wait(&current(&app, &caller.tenant, &id).await?)?;
     }
     metadata::change(&app, &caller.tenant, ResourceKind::Job, id.as_str(), &change.metadata()).await?;
@@ -266,7 +266,7 @@ async fn submit(
     retry_of: Option<JobId>,
     key: Option<&IdempotencyKey>,
 ) -> Result<Response, Problem> {
-    // A training makes a model, of a size that is not known before.
+    // The training creates a model whose size is not known in advance.
     app.store.admit_bytes_of(&caller.tenant, 0).await?;
     let answer =
         |job: &JobRecord, position| serde_json::to_string(&job.clone().view(position)).unwrap_or_default();
@@ -285,7 +285,7 @@ pub(super) async fn current(app: &AppState, tenant: &TenantId, id: &JobId) -> Re
     Ok(job.view(position))
 }
 
-/// A known light must be one that the worker will find.
+/// A known light must exist for the worker.
 async fn check_light(app: &AppState, tenant: &TenantId, light: &KnownLight) -> Result<(), Problem> {
     let name = light.environment.as_str();
     if BUILTIN.contains(&name) || app.store.environment(tenant, &EnvironmentId::from(name)).await?.is_some() {
@@ -298,10 +298,10 @@ async fn check_light(app: &AppState, tenant: &TenantId, light: &KnownLight) -> R
     Err(Problem::invalid_field("/overrides/light/environment", detail))
 }
 
-/// Whether a job may train on a GPU: this server's or a worker's. Where other machines do all of the work they may start later.
+/// Whether a job may train on a GPU of this server or of a worker. If only remote workers train, they may start later.
 ///
 /// # Errors
-/// 422 for a job that asks for one in vain.
+/// 422 if the job requires a GPU and there is none.
 async fn on_gpu(app: &AppState, asked: JobDevice) -> Result<bool, Problem> {
     let there = app.device.has_gpu()
         || !app.trains
@@ -312,7 +312,7 @@ async fn on_gpu(app: &AppState, asked: JobDevice) -> Result<bool, Problem> {
     Ok(asked != JobDevice::Cpu && there)
 }
 
-/// Whoever may submit may wait longer; to come before others, of whichever tenant, needs a scope.
+/// Any submitter may lower the priority; a priority above 0, which affects other tenants, requires a scope.
 fn check_priority(caller: &Caller, priority: i64) -> Result<(), Problem> {
     if !PRIORITIES.contains(&priority) {
         return Err(Problem::invalid_field("/priority", format!("must be -100 to 100, got {priority}")));
@@ -320,7 +320,7 @@ fn check_priority(caller: &Caller, priority: i64) -> Result<(), Problem> {
     if priority > 0 { caller.require_scope(Scope::Priority) } else { Ok(()) }
 }
 
-/// The trainer's refusals begin with the name of the field.
+/// The messages of the trainer begin with the name of the field.
 fn override_refused(error: &ConfigError) -> Problem {
     let setting = error.field.split('.').next().unwrap_or_default();
     Problem::invalid_field(format!("/overrides/{setting}"), error.to_string())

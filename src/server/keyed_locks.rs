@@ -1,27 +1,27 @@
-//! One piece of work at a time for each key: whoever comes second finds what the first has made.
+//! A lock for each key: only one task works on a key at a time, and the next one finds its result.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use tokio::sync::OwnedMutexGuard;
 
-/// The keys that are being worked on.
+/// The locks of keys in use.
 #[derive(Clone, Default)]
 pub(super) struct KeyedLocks(Arc<Mutex<HashMap<String, Weak<tokio::sync::Mutex<()>>>>>);
 
-/// The right to work on a key, until it is dropped.
+/// The lock of a key, held until this is dropped.
 pub(super) struct KeyGuard {
     _held: OwnedMutexGuard<()>,
 }
 
 impl KeyedLocks {
-    /// Waits until nobody else works on `key`.
+    /// Waits for the lock of `key`.
     pub(super) async fn take(&self, key: &str) -> KeyGuard {
         KeyGuard { _held: self.of(key).lock_owned().await }
     }
 
     fn of(&self, key: &str) -> Arc<tokio::sync::Mutex<()>> {
-        // Each change of the map is one that cannot panic halfway.
+        // No change of the map can panic halfway, so a poisoned lock is still valid.
         let mut keys = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         keys.retain(|_, lock| lock.strong_count() > 0);
         match keys.get(key).and_then(Weak::upgrade) {

@@ -1,4 +1,4 @@
-//! Finds out who a caller is, from the keys that the server was started with and those in the database.
+//! Identifies callers by the keys of the configuration and of the database.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,7 +13,7 @@ use crate::store::{KeyRecord, KeyToken, Store, StoreError, hex};
 use relume_api::keys::Scope;
 use relume_api::{KeyId, TenantId};
 
-/// The use of a key is written down once in this time.
+/// The use of a key is recorded at most once in this time.
 const RECORD_INTERVAL_MS: i64 = 60_000;
 
 /// All keys of a server.
@@ -21,9 +21,9 @@ pub(super) struct Keyring {
     configured: ApiKeys,
     store: Store,
     clock: Arc<dyn Clock>,
-    /// True once a key was seen. Keys are never removed, so that a server does not become open while it runs.
+    /// True after any key was seen. Keys are never removed, so a running server does not become open.
     has_keys: AtomicBool,
-    /// When the use of a key was last written down.
+    /// Time of the last recorded use of each key.
     recorded_uses: Mutex<HashMap<KeyId, i64>>,
 }
 
@@ -33,7 +33,7 @@ impl Keyring {
         Self { configured, store, clock, has_keys, recorded_uses: Mutex::default() }
     }
 
-    /// True while everybody is let in: until the first key is made.
+    /// Whether callers without a key are permitted: until the first key is created.
     pub(super) async fn is_open(&self) -> Result<bool, StoreError> {
         if !self.has_keys.load(Ordering::Relaxed) && self.store.any_key().await? {
             self.has_keys.store(true, Ordering::Relaxed);
@@ -41,7 +41,7 @@ impl Keyring {
         Ok(!self.has_keys.load(Ordering::Relaxed))
     }
 
-    /// Who sends this key, or none.
+    /// The caller with this key, or without a key.
     pub(super) async fn caller(&self, key: Option<&str>) -> Result<Option<Caller>, StoreError> {
         if let Some(index) = key.and_then(|key| self.configured.index(key)) {
             return Ok(self.configured(index));
@@ -59,7 +59,7 @@ impl Keyring {
         Ok(self.is_open().await?.then(Caller::without_key))
     }
 
-    /// Whose key has this identifier, if it can be used.
+    /// The owner of the key with this identifier, if the key is valid.
     pub(super) async fn bearer_of(&self, id: &str) -> Result<Option<Caller>, StoreError> {
         if let Some(number) = id.strip_prefix(CONFIGURED) {
             let index = number.parse().ok().and_then(|number: usize| number.checked_sub(1));
@@ -72,7 +72,7 @@ impl Keyring {
         Ok(found.filter(|record| record.is_valid(now_ms)).map(stored))
     }
 
-    /// Writes down that a URL is used that a key has signed.
+    /// Records the use of a signed URL as a use of its key.
     pub(super) fn record_signed_use(&self, caller: &Caller) {
         if caller.has_stored_key() {
             self.record_use(&caller.key, None, self.clock.now_ms());
@@ -83,7 +83,7 @@ impl Keyring {
         self.clock.now_ms()
     }
 
-    /// The bearer of a key that the server was started with.
+    /// The owner of a key from the configuration.
     fn configured(&self, index: usize) -> Option<Caller> {
         Some(Caller {
             tenant: TenantId::of_operator(),
@@ -96,7 +96,7 @@ impl Keyring {
         })
     }
 
-    /// Writes down that a key is used, at most once a minute and without keeping its caller waiting.
+    /// Records the use of a key, at most once a minute and in the background.
     fn record_use(&self, id: &KeyId, last_used_ms: Option<i64>, now_ms: i64) {
         let mut recorded_uses = self.recorded_uses.lock().unwrap_or_else(PoisonError::into_inner);
         let last = recorded_uses.get(id).copied().max(last_used_ms);
@@ -107,7 +107,7 @@ impl Keyring {
         let (store, id) = (self.store.clone(), id.clone());
         tokio::spawn(async move {
             if let Err(error) = store.record_key_use(&id, now_ms).await {
-                tracing::warn!(%error, key = %id, "the use of a key cannot be written down");
+                tracing::warn!(%error, key = %id, "cannot record the use of a key");
             }
         });
     }

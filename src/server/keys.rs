@@ -1,4 +1,4 @@
-//! `/v1/keys`: API keys of a tenant; of all tenants for those who run the server.
+//! `/v1/keys`: API keys of a tenant; for the operator, of all tenants.
 
 use axum::Json;
 use axum::extract::State;
@@ -47,7 +47,7 @@ async fn create_key(
         return Err(Problem::invalid_field(format!("/{field}"), why));
     }
     if !caller.has_key {
-        // The first key locks out everybody else, for good.
+        // The first key permanently locks out callers without a key.
         let detail = "create the first key of a server on its machine with `relume keys create`";
         return Err(Problem::new(
             StatusCode::FORBIDDEN,
@@ -60,7 +60,7 @@ async fn create_key(
         caller.require_operator(Scope::Admin)?;
     }
     if key.scopes.contains(&Scope::Priority) {
-        // Jobs of all tenants wait for one device.
+        // Priority affects jobs of all tenants.
         caller.require_operator(Scope::Admin)?;
     }
     let now_ms = app.jobs.now_ms();
@@ -74,7 +74,7 @@ async fn create_key(
         made_by,
     };
     let (record, secret) = app.store.create_key(&record, now_ms).await?;
-    tracing::info!(made = %record.id, of = %record.tenant, "made a key");
+    tracing::info!(made = %record.id, of = %record.tenant, "created a key");
     let headers = [
         (header::LOCATION, location(&record.id)?),
         (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
@@ -139,7 +139,7 @@ async fn revoke_key(
     Ok(Json(RevokedKey { key: view(key), took_along }))
 }
 
-/// The tenant whose keys a caller may see; `None` when they may see all.
+/// The tenant whose keys a caller may see; `None` for all tenants.
 fn visible(caller: &Caller) -> Option<&TenantId> {
     (!caller.tenant.is_operator()).then_some(&caller.tenant)
 }

@@ -1,4 +1,4 @@
-//! From the names, identifiers and files in a request to the light to render under.
+//! Resolves the light of a request: built-in maps, uploaded maps and maps in the request.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use relume_api::renders::EnvironmentSpec;
 use relume_api::{EnvironmentId, TenantId};
 use relume_capture::BUILTIN;
 
-/// The light of a render request; a stored map is not read yet.
+/// The light of a render request. An uploaded map is not read yet.
 pub(super) async fn light(
     app: &AppState,
     tenant: &TenantId,
@@ -41,10 +41,10 @@ pub(super) async fn light(
     }
 }
 
-/// The light that a query names: a built-in map, the capture's own, or an uploaded one.
+/// The light with a name in a query: a built-in map, the recovered light, or an uploaded map.
 ///
 /// # Errors
-/// 422 that names `parameter` when there is none of that name.
+/// 422, which names `parameter`, if it does not exist.
 pub(super) async fn named_light(
     app: &AppState,
     tenant: &TenantId,
@@ -66,7 +66,7 @@ async fn stored_light(
 ) -> Result<Option<LightSource>, Problem> {
     let Some(record) = app.store.environment(tenant, id).await? else { return Ok(None) };
     match app.store.artifacts().verify(&record.artifact, &record.sha256).await {
-        // It was deleted meanwhile.
+        // The map was deleted in the meantime.
         Err(StoreError::Missing(_)) if app.store.environment(tenant, id).await?.is_none() => return Ok(None),
         sound => sound?,
     }
@@ -74,7 +74,7 @@ async fn stored_light(
     Ok(Some(LightSource::Stored { path, sha256: record.sha256 }))
 }
 
-/// A map that comes with the program, or the capture's own light.
+/// A built-in map or the recovered light.
 fn builtin_light(name: &str) -> Option<LightSource> {
     match name {
         "recovered" => Some(LightSource::Recovered),

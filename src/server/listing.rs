@@ -1,4 +1,4 @@
-//! Lists: newest first, a page at a time.
+//! Lists in pages, newest first.
 
 use serde::Deserialize;
 use utoipa::IntoParams;
@@ -12,7 +12,7 @@ pub(super) use crate::store::rfc3339;
 const MAX_LIMIT: u32 = 200;
 const DEFAULT_LIMIT: u32 = 50;
 
-/// Which part of a list.
+/// Page of a list.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -26,15 +26,15 @@ pub struct PageQuery {
     pub before: Option<String>,
 }
 
-/// A page that was asked for.
+/// A requested page.
 #[derive(Debug)]
 pub(super) struct PageRequest(Page);
 
 impl PageQuery {
-    /// The page asked for. `find` looks for an item of the list, for callers who name one instead of a `next`.
+    /// The requested page. `find` finds an item of the list, for clients that send an identifier instead of a `next`.
     ///
     /// # Errors
-    /// Names `limit` when it is out of range, and `before` when it is neither.
+    /// Names `limit` if it is out of range, and `before` if it is invalid.
     pub(super) async fn page<R: Paginated>(
         self,
         find: impl AsyncFnOnce(&str) -> Result<Option<R>, StoreError>,
@@ -62,12 +62,12 @@ impl PageQuery {
 }
 
 impl PageRequest {
-    /// What the store is asked for: one item more than the page has, which tells whether there is a next one.
+    /// The query for the store, with one item more than the page, which shows whether there is a next page.
     pub(super) fn store_page(&self) -> Page {
         Page { limit: self.0.limit + 1, before: self.0.before.clone() }
     }
 
-    /// The page's part of what the store gave, and where the next one begins.
+    /// The items of the page, and the cursor of the next page.
     pub(super) fn cut<R: Paginated>(&self, mut records: Vec<R>) -> (Vec<R>, Option<String>) {
         let limit = self.0.limit as usize;
         let has_more = records.len() > limit;
@@ -76,7 +76,7 @@ impl PageRequest {
         (records, next)
     }
 
-    /// The answer from what the store gave.
+    /// The answer for records of the store.
     pub(super) fn list<R: Paginated, T>(&self, records: Vec<R>, view: impl FnMut(R) -> T) -> List<T> {
         let (records, next) = self.cut(records);
         List { items: records.into_iter().map(view).collect(), next }

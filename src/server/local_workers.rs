@@ -1,4 +1,4 @@
-//! The workers that are threads of this server: started, counted as present, and waited for.
+//! The local workers of this server: start, heartbeats and end.
 
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -17,32 +17,32 @@ use crate::worker::{
 use relume_api::work::WorkerHello;
 use relume_engine::{DeviceChoice, DeviceError};
 
-/// Which devices of a server train.
+/// The devices of a server that train.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum Trainers {
-    /// The one that renders, too.
+    /// The rendering device.
     #[default]
     One,
-    /// That and others.
+    /// The rendering device and others.
     AlsoOn(Vec<DeviceChoice>),
-    /// None: workers elsewhere do.
+    /// None; only remote workers train.
     None,
 }
 
-/// What trains and renders in a server.
+/// The configuration of the local workers.
 pub(super) struct LocalWorkersConfig {
     pub(super) options: WorkerOptions,
     pub(super) trainers: Trainers,
-    /// Labels of its workers.
+    /// Labels of the workers.
     pub(super) labels: Vec<String>,
-    /// After which silence a worker is taken for dead.
+    /// Time without a heartbeat after which a worker is considered dead.
     pub(super) heartbeat_timeout: Duration,
 }
 
 /// Why the workers do not start.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum LocalWorkersError {
-    /// A device cannot be had.
+    /// A device is not available.
     #[error(transparent)]
     Device(#[from] DeviceError),
     /// The database failed.
@@ -55,7 +55,7 @@ pub(super) enum LocalWorkersError {
 
 /// The workers of a server.
 pub(super) struct LocalWorkers {
-    /// Renders, and trains unless nothing here does.
+    /// The device that renders, and trains unless training is disabled.
     pub(super) device: DeviceHandle,
     pub(super) threads: WorkerThreads,
     pub(super) registry: WorkerRegistry,
@@ -68,14 +68,14 @@ pub(super) struct WorkerThreads {
 }
 
 impl WorkerThreads {
-    /// Waits for all of them.
+    /// Waits for all threads.
     pub(super) async fn join(self) {
         let join = move || {
             let device = self.device.join().is_ok();
             self.trainers.into_iter().fold(device, |well, thread| thread.join().is_ok() && well)
         };
         if !tokio::task::spawn_blocking(join).await.unwrap_or(false) {
-            tracing::error!("a training thread did not end well");
+            tracing::error!("a training thread panicked");
         }
     }
 }
@@ -112,7 +112,7 @@ pub(super) async fn start(
     Ok(LocalWorkers { device, threads: WorkerThreads { device: thread, trainers }, registry })
 }
 
-/// Says who is there, and takes back the leases of those who are not.
+/// Records the heartbeats of the local workers and reclaims leases.
 pub(super) struct WorkerRegistry {
     server: String,
     workers: Vec<WorkerHello>,
@@ -121,7 +121,7 @@ pub(super) struct WorkerRegistry {
 }
 
 impl WorkerRegistry {
-    /// Puts a worker on the list; returns the jobs for it.
+    /// Registers a local worker and returns its job source.
     fn register(&mut self, labels: &[String], jobs: &Jobs, device: &OpenedDevice) -> Arc<dyn JobSource> {
         let hello = WorkerHello {
             id: jobs.fresh_id(),
@@ -136,12 +136,12 @@ impl WorkerRegistry {
         Arc::new(LocalJobs::new(jobs.clone(), Claimant { worker, has_gpu, labels }))
     }
 
-    /// Longest time between two calls, so that silence is noticed soon.
+    /// Maximum time between two calls of [`Self::heartbeat`], so that missing heartbeats are detected soon.
     pub(super) fn interval(&self) -> Duration {
         self.heartbeat_timeout / 3
     }
 
-    /// Counts this server's workers as present and takes leases back.
+    /// Records heartbeats of this server's workers and reclaims leases.
     ///
     /// # Errors
     /// When the database fails.
@@ -150,7 +150,7 @@ impl WorkerRegistry {
         for hello in &self.workers {
             jobs.record_worker_heartbeat(hello, Some(&self.server)).await?;
         }
-        // The machine slept, or the database was away: silence is held against nobody.
+        // After suspension of the machine or an outage of the database, all workers count as alive.
         if u128::try_from(now.saturating_sub(self.last_ms)).unwrap_or(0)
             > self.heartbeat_timeout.as_millis() / 2
         {
@@ -162,7 +162,7 @@ impl WorkerRegistry {
     }
 }
 
-/// The source of a server that trains nothing itself.
+/// The job source of a server that does not train.
 struct EmptyJobSource(Jobs);
 
 #[async_trait(?Send)]

@@ -1,9 +1,9 @@
-//! How much memory this process may take.
+//! The memory available to this process.
 
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
-/// Bytes that this process may take: of the machine, the container or its control group (`MemoryMax` of a systemd unit), whichever
-/// is least.
+/// Bytes available to this process: the minimum of the machine, the container and the control group (`MemoryMax` of a systemd
+/// unit).
 pub(super) fn memory() -> u64 {
     let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
     let system = System::new_with_specifics(memory);

@@ -1,7 +1,7 @@
-//! The memory that requests may take together. Decoding, encoding and large bodies borrow from it before they begin.
+//! The memory budget of requests. Decoding, encoding and large bodies reserve memory before they begin.
 //!
-//! A request may hold the permit of its body while it waits for that of its frame. Bodies have a pool of their own, so that
-//! no request waits for what another one holds that waits as well.
+//! A request may hold the permit of its body while it waits for that of its frame. Bodies have a separate pool, so that no
+//! request waits for a permit of another waiting request.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,24 +13,24 @@ use crate::server::machine;
 use crate::server::problem::Problem;
 use relume_spec::rendering::{Output, Quality};
 
-/// What one permit stands for.
+/// Bytes of one semaphore permit.
 const UNIT: u64 = 1 << 20;
-/// Least budget, bytes: below it not even a small frame fits.
+/// Minimum budget, bytes. With less not even a small frame fits.
 const MIN_BUDGET: u64 = 64 << 20;
-/// Loans of at most one in so many of the bytes kept for small ones are small: they never wait for larger ones.
+/// Reservations of at most this fraction of the small pool are small. They never wait for larger ones.
 const SMALL: u64 = 8;
-/// Bodies of at most this many bytes count nothing.
+/// Maximum size of a body without a reservation, bytes.
 const SMALL_BODY: u64 = 65_536;
-/// How long a permit may wait for others to end.
+/// Maximum time for which a reservation waits for others.
 const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(20);
-/// Bytes a value of a frame's planes takes, and of the file that grows beside it.
+/// Bytes per value of a frame's planes, including the file.
 const FRAME_VALUE: u64 = 9;
-/// Bytes a pixel, in a band of the CPU engine, of a pass that blends colour alone.
+/// Bytes per pixel in a band of the CPU engine, for a pass that blends only colour.
 const COLOUR_PIXEL: u64 = 16;
-/// Bytes a pixel of a pass with every channel, and of another for the light of one small light.
+/// Bytes per pixel of a pass with all channels, and of another pass for the light of one dominant light.
 const FULL_PIXEL: u64 = 48 * 4 + 20 * 4;
 
-/// The budget.
+/// The memory budget.
 pub(super) struct MemoryBudget {
     bodies: MemoryPool,
     small: MemoryPool,
@@ -43,7 +43,7 @@ struct MemoryPool {
     free: Arc<Semaphore>,
 }
 
-/// Memory that is borrowed until this is dropped.
+/// Reserved memory, until this is dropped.
 #[derive(Debug)]
 pub(super) struct MemoryPermit(#[allow(dead_code, reason = "given back when dropped")] OwnedSemaphorePermit);
 
@@ -59,19 +59,19 @@ impl MemoryBudget {
         }
     }
 
-    /// Borrows `bytes` for decoding or for a frame, after waiting for others to end where they do not fit now.
+    /// Reserves `bytes` for decoding or a frame. Waits for other requests if they do not fit now.
     ///
     /// # Errors
-    /// 413 when they never fit, 503 when they did not fit in time.
+    /// 413 if they can never fit, 503 if they did not fit in time.
     pub(super) async fn reserve(&self, bytes: u64) -> Result<MemoryPermit, Problem> {
         let pool = if bytes <= self.small.bytes / SMALL { &self.small } else { &self.large };
         pool.reserve(bytes).await
     }
 
-    /// Borrows for a JSON body of `length` bytes: as it came, as text, and what the text encodes. Small ones take nothing.
+    /// Reserves memory for a JSON body of `length` bytes: as received, as text, and decoded. Small bodies reserve nothing.
     ///
     /// # Errors
-    /// As [`Self::borrow`].
+    /// As [`Self::reserve`].
     pub(super) async fn reserve_body(&self, length: u64) -> Result<MemoryPermit, Problem> {
         let bytes = if length <= SMALL_BODY { 0 } else { length.saturating_mul(3) };
         self.bodies.reserve(bytes).await
@@ -105,35 +105,35 @@ impl MemoryPool {
     }
 }
 
-/// Half of what this process may take, bytes.
+/// Half of the memory available to this process, bytes.
 pub(super) fn default_budget() -> u64 {
     machine::memory() / 2
 }
 
-/// Bytes that a frame takes from its G-buffer to its file.
+/// Bytes of a frame from its G-buffer to its file.
 pub(super) fn frame_bytes(pixels: u64, outputs: &[Output]) -> u64 {
     let values: usize = outputs.iter().map(|o| o.channels()).sum();
     let is_colour = outputs.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha));
     let of_pass = if is_colour { COLOUR_PIXEL } else { FULL_PIXEL };
     let (values, on_cpu) = (values as u64 + 1, pixels.min(Quality::CPU_BAND_COST) * of_pass);
-    // A band of a device comes back as floats.
+    // A band of a device is returned as floats.
     pixels * FRAME_VALUE * values + on_cpu.max(pixels.min(Quality::BAND_COST) * 4 * values)
 }
 
-/// Bytes that the stream of a model takes from its file of `size` bytes on: the file, the model, its columns, the stream.
+/// Bytes for the stream of a model with a file of `size` bytes: the file, the model, its columns, the stream.
 pub(super) fn stream_bytes(size: u64) -> u64 {
     4 * size
 }
 
-/// Bytes that an export takes from a model file of `size` bytes on: the file, the model twice, the file that is made. With a mesh of
-/// `cells` also its distances, its textures and the views that they are made of.
+/// Bytes for an export of a model with a file of `size` bytes: the file, the model twice, the exported file. A mesh of `cells`
+/// also needs its distances, its textures and the views for them.
 pub(super) fn export_bytes(size: u64, cells: usize) -> u64 {
     let cells = cells as u64;
     let mesh = if cells == 0 { 0 } else { (256 << 20) + 12 * cells.pow(3) + 2048 * cells.pow(2) };
     5 * size + mesh
 }
 
-/// Bytes that the stream of a light takes: tables and a map in their columns and their bytes, and so for each Gaussian.
+/// Bytes for the stream of a light: tables and a map in columns and bytes, and the light of each Gaussian.
 pub(super) fn light_bytes(gaussians: i64) -> u64 {
     (8 << 20) + 100 * gaussians.max(0).unsigned_abs()
 }
@@ -164,7 +164,7 @@ mod tests {
         let _large = budget.reserve(640 << 20).await.unwrap();
         let small: Vec<_> = futures::future::join_all((0..8).map(|_| budget.reserve(16 << 20))).await;
         assert!(small.iter().all(Result::is_ok));
-        assert!(budget.reserve(16 << 20).await.is_err(), "the control: they have a bound, too");
+        assert!(budget.reserve(16 << 20).await.is_err(), "the control: this pool is also limited");
     }
 
     #[tokio::test(start_paused = true)]
@@ -172,7 +172,7 @@ mod tests {
         let budget = MemoryBudget::new(64 << 20);
         let bodies: Vec<_> = futures::future::join_all((0..5).map(|_| budget.reserve_body(1 << 20))).await;
         assert!(bodies.iter().all(Result::is_ok));
-        assert!(budget.reserve_body(1 << 20).await.is_err(), "the control: they have a bound");
+        assert!(budget.reserve_body(1 << 20).await.is_err(), "the control: bodies are limited");
         budget.reserve(40 << 20).await.unwrap();
         budget.reserve_body(SMALL_BODY).await.unwrap();
     }
@@ -181,11 +181,12 @@ mod tests {
     fn memory_estimates_match_measured_sizes() {
         let all = [Output::Rgb, Output::Albedo, Output::Normal, Output::Depth, Output::Alpha];
         let large = frame_bytes(4096 * 4096, &all);
-        // 2,185 MiB of a whole process with a model of 60,000 Gaussians.
+        // Measured: 2,185 MiB for a whole process with a model of 60,000 Gaussians.
         assert!((1900 << 20..2200u64 << 20).contains(&large), "{large}");
-        assert!(frame_bytes(256 * 256, &[Output::Rgb]) < 4 << 20, "a thumbnail is small in any budget");
+        assert!(frame_bytes(256 * 256, &[Output::Rgb]) < 4 << 20, "a thumbnail is small for any budget");
         assert!(default_budget() > MIN_BUDGET);
-        // 62 bytes a Gaussian of a stream and as many floats, of a file of 140 floats a Gaussian; 16 and ten floats of a light.
+        // A stream has 62 bytes per Gaussian and as many floats, with 140 floats per Gaussian in the file; a light has 16 bytes
+        // and ten floats.
         assert!(stream_bytes(560_000) > 560_000 + 560_000 + 1000 * (62 + 40 * 4));
         assert!(
             light_bytes(1000) - light_bytes(0) >= 1000 * (16 + 2 * 40) && light_bytes(-1) == light_bytes(0)

@@ -66,27 +66,27 @@ pub(super) struct FilteredPageQuery {
 }
 
 impl FilteredPageQuery {
-    /// The page and what is looked for.
+    /// The page request and the filter.
     ///
     /// # Errors
-    /// 422 that names the parameter.
+    /// 422, which names the parameter.
     pub(super) fn parts(self) -> Result<(PageQuery, Filter), Problem> {
         let filter = filter(self.name, self.external_id, self.label.as_deref())?;
         Ok((PageQuery { limit: self.limit, before: self.before }, filter))
     }
 }
 
-/// What is looked for in a list.
+/// The filter of a list.
 ///
 /// # Errors
-/// 422 that names the parameter.
+/// 422, which names the parameter.
 pub(super) fn filter(
     name: Option<String>,
     external_id: Option<String>,
     label: Option<&str>,
 ) -> Result<Filter, Problem> {
     let wanted = ResourceMetadata { name, external_id, labels: labels("label", label)? };
-    // Nothing is called what nothing may be called.
+    // A filter with invalid metadata can match nothing, so it is refused.
     if let Some((field, why)) = wanted.validation_error() {
         let parameter = if field == "labels" { "label" } else { field };
         return Err(Problem::invalid_field(format!("query/{parameter}"), why));
@@ -99,10 +99,10 @@ fn labels(parameter: &str, text: Option<&str>) -> Result<BTreeMap<String, String
     text.map(parse_labels).transpose().map(Option::unwrap_or_default).map_err(wrong)
 }
 
-/// Calls an upload what its sender calls it, also one that was there before.
+/// Sets the metadata of an upload or of an existing resource to those of the query. Omitted fields are unchanged.
 ///
 /// # Errors
-/// 422 that names the parameter when it has too many labels then; when the database fails.
+/// 422, which names the parameter, if the result has too many labels. When the database fails.
 pub(super) async fn apply_metadata(
     app: &AppState,
     tenant: &TenantId,
@@ -117,7 +117,7 @@ pub(super) async fn apply_metadata(
     Ok(changed.unwrap_or(before))
 }
 
-/// The store's refusal to whoever said in the query what a thing is called.
+/// The problem for metadata in a query that the store refused.
 pub(super) fn refused(error: StoreError) -> Problem {
     match error {
         StoreError::InvalidMetadata { field, why } => Problem::invalid_field(format!("query/{field}"), why),
@@ -125,10 +125,10 @@ pub(super) fn refused(error: StoreError) -> Problem {
     }
 }
 
-/// Changes what a thing is called.
+/// Changes the metadata of a resource.
 ///
 /// # Errors
-/// 404 when there is none, 422 when it may not be called so.
+/// 404 if the resource does not exist, 422 if the metadata are invalid.
 pub(super) async fn change(
     app: &AppState,
     tenant: &TenantId,

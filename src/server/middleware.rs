@@ -1,5 +1,4 @@
-//! What stands before every handler, in one place: the order in which a request meets identifiers, headers, origins, keys
-//! and bounds.
+//! The middleware of all routes: request identifiers, headers, origins, keys and limits, in order.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -25,48 +24,48 @@ use crate::server::telemetry;
 use crate::server::tenant_slots::{self, TenantSlots};
 use crate::server::uploads;
 
-/// What the API sends is no page: it may load, run and frame nothing. Pages bring a policy of their own.
+/// The content security policy of the API, whose answers may load, run and frame nothing. Pages have their own policy.
 const NOT_A_PAGE: &str = "default-src 'none'; frame-ancestors 'none'";
 
-/// What a server's stack depends on.
+/// The configuration of the middleware.
 pub(super) struct MiddlewareConfig {
     pub(super) access_control: Arc<AccessControl>,
-    /// Whether another server is the first.
+    /// Whether the server is a replica.
     pub(super) is_replica: bool,
-    /// Whether the server begins without keys. It may get some while it runs; the checks of host and origin stay.
+    /// Whether the server starts without keys. Keys may be created while it runs; the checks of host and origin remain active.
     pub(super) is_open: bool,
     pub(super) origins: Vec<CorsOrigin>,
     pub(super) hosts: TrustedHosts,
-    /// Between two pieces of a request's body.
+    /// Timeout between two chunks of a request's body.
     pub(super) body_stall: Duration,
-    /// Bytes of the largest upload in pieces.
+    /// Maximum bytes of a resumable upload.
     pub(super) most_uploaded: u64,
 }
 
-/// How much of one kind of work is taken on.
+/// Limits of a group of routes.
 pub(super) struct RouteLimits {
-    /// Requests in progress; one more is turned away.
+    /// Maximum number of concurrent requests; further requests are refused.
     max_concurrent: usize,
-    /// The same of one tenant, where there are keys.
+    /// Maximum number of concurrent requests per tenant, if there are keys.
     per_tenant: usize,
-    /// From a request's head to the head of its answer.
+    /// Timeout from the head of a request to the head of its answer.
     timeout: Duration,
 }
 
-/// Uploads: bound by the time between two pieces, so that gigabytes may take hours.
+/// Uploads: limited by the time between two chunks, so that gigabytes may take hours.
 pub(super) const UPLOADS: RouteLimits =
     RouteLimits { max_concurrent: 64, per_tenant: 32, timeout: Duration::from_secs(24 * 3600) };
-/// Renders: the body, the device's queue, the frame.
+/// Renders: the body, the queue of the device, and the frame.
 pub(super) const RENDERS: RouteLimits =
     RouteLimits { max_concurrent: 128, per_tenant: 128, timeout: Duration::from_secs(300) };
-/// Thumbnails, apart from renders so that neither takes the other's slots.
+/// Thumbnails, separate from renders, so that neither can use all slots of the other.
 pub(super) const THUMBNAILS: RouteLimits =
     RouteLimits { max_concurrent: 256, per_tenant: 256, timeout: Duration::from_secs(300) };
-/// Everything else: small bodies and queries; as many as there are connections by default.
+/// All other routes, with small bodies and queries: as many as there are connections by default.
 pub(super) const QUERIES: RouteLimits =
     RouteLimits { max_concurrent: 4096, per_tenant: 4096, timeout: Duration::from_secs(60) };
 
-/// Around the routes of one kind: requests beyond the bounds are turned away at once, none waits for a place.
+/// Applies limits to a group of routes. Requests beyond them are refused immediately.
 pub(super) fn with_limits<S>(routes: OpenApiRouter<S>, bounds: &RouteLimits) -> OpenApiRouter<S>
 where
     S: Clone + Send + Sync + 'static,
@@ -84,11 +83,11 @@ where
     )
 }
 
-/// Around all routes. Layers run from the first to the last.
+/// Applies the middleware to all routes. The layers run from the first to the last.
 pub(super) fn with_middleware(routes: Router<AppState>, config: MiddlewareConfig) -> Router<AppState> {
     let MiddlewareConfig { access_control, is_replica, is_open, origins, hosts, body_stall, most_uploaded } =
         config;
-    // A key, which no foreign page knows, protects as well as the checks of host and origin.
+    // A key, which foreign pages do not know, gives the same protection as the checks of host and origin.
     let csrf = is_open.then(|| same_site::csrf(&origins));
     let host = is_open.then(|| middleware::from_fn_with_state(hosts, same_site::check_host));
     routes.layer(
@@ -99,15 +98,15 @@ pub(super) fn with_middleware(routes: Router<AppState>, config: MiddlewareConfig
             .layer(unless_set(header::CONTENT_SECURITY_POLICY, NOT_A_PAGE))
             .layer(CatchPanicLayer::custom(telemetry::on_panic))
             .option_layer(host)
-            // Outside CORS, which answers every OPTIONS by itself.
+            // Outside CORS, because that layer answers every OPTIONS itself.
             .layer(middleware::from_fn_with_state(most_uploaded, uploads::advertise))
-            // Outside authentication: a browser's preflight carries no key.
+            // Outside authentication, because the preflight request of a browser has no key.
             .option_layer(origins::cors(&origins))
             .option_layer(csrf)
             .layer(middleware::from_fn_with_state(access_control, access::check))
             .option_layer(is_replica.then(|| middleware::from_fn(replica::check)))
             .layer(RequestBodyTimeoutLayer::new(body_stall))
-            // Every extractor of bodies brings its own limit.
+            // Each body extractor has its own limit.
             .layer(DefaultBodyLimit::disable()),
     )
 }
@@ -142,7 +141,7 @@ mod tests {
     use tokio::sync::Notify;
     use tower::ServiceExt;
 
-    /// Two routes of one kind that answer when they are told to.
+    /// Two routes of one group that answer when notified.
     fn routes(bounds: &RouteLimits) -> (Router, Arc<Notify>) {
         let go = Arc::new(Notify::new());
         let told = go.clone();

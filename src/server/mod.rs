@@ -1,6 +1,6 @@
-//! The HTTP service: one file for each family of endpoints, with its routes, documentation and refusals.
+//! The HTTP service. Each family of endpoints has a file with its routes, documentation and errors.
 
-// A refusal is made at most once a request; the cost of moving it does not matter.
+// At most one such error is created per request, so the cost of moving it does not matter.
 #![allow(clippy::result_large_err)]
 
 mod access;

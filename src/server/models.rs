@@ -1,4 +1,4 @@
-//! `/v1/models`: what trainings produced.
+//! `/v1/models`: the results of trainings.
 
 use axum::Json;
 use axum::extract::State;
@@ -17,7 +17,7 @@ use relume_api::metadata::MetadataChange;
 use relume_api::models::{FileView, ModelSummary, ModelView};
 use relume_api::{List, ModelId, ResourceKind, TenantId};
 
-/// Name of the file that holds the model itself.
+/// Name of the file with the model.
 pub(super) const MODEL_FILE: &str = "model.safetensors";
 
 /// The routes of this file.
@@ -105,7 +105,7 @@ async fn find(app: &AppState, tenant: &TenantId, id: &ModelId) -> Result<ModelRe
     app.store.model(tenant, id).await?.ok_or_else(|| Problem::not_found("model", id.as_str()))
 }
 
-/// The model as the thread of frames takes it, and its content hash.
+/// The model as a source for rendering, and its content hash.
 pub(super) async fn source(
     app: &AppState,
     tenant: &TenantId,

@@ -1,19 +1,19 @@
-//! Content negotiation: which kind of image file a caller wants.
+//! Content negotiation of the image format.
 
 use axum::http::{HeaderMap, StatusCode, header};
 
 use crate::server::problem::Problem;
 use relume_spec::rendering::FrameFormat;
 
-/// The kind of file that `Accept` prefers; PNG when there is no such header.
+/// The format that `Accept` prefers; PNG without this header.
 ///
 /// # Errors
-/// 406 when it accepts no kind that the server writes.
+/// 406 if no supported format is accepted.
 pub(super) fn frame_format(headers: &HeaderMap) -> Result<FrameFormat, Problem> {
     let Some(accept) = headers.get(header::ACCEPT) else { return Ok(FrameFormat::Png) };
     let mut ranges: Vec<(f32, &str)> =
         accept.to_str().unwrap_or_default().split(',').map(weighted).filter(|(q, _)| *q > 0.0).collect();
-    // Stable: among equals the caller's order counts.
+    // The sort is stable, so the order of the client decides among equal weights.
     ranges.sort_by(|a, b| b.0.total_cmp(&a.0));
     ranges.iter().find_map(|(_, range)| matching(range)).ok_or_else(|| {
         Problem::new(StatusCode::NOT_ACCEPTABLE, "not-acceptable", "No acceptable representation")
@@ -28,7 +28,7 @@ fn matching(range: &str) -> Option<FrameFormat> {
     }
 }
 
-/// One entry of `Accept` with its weight.
+/// An entry of `Accept` with its weight.
 fn weighted(entry: &str) -> (f32, &str) {
     let mut parts = entry.split(';').map(str::trim);
     let range = parts.next().unwrap_or_default();

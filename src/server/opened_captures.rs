@@ -1,4 +1,4 @@
-//! Captures that stay open for a while: a page of thumbnails reads the archive's index once.
+//! Keeps captures open for a while, so that a page of thumbnails reads the index of an archive only once.
 
 use std::num::NonZeroUsize;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,19 +11,19 @@ use crate::server::memory::MemoryPermit;
 use crate::server::problem::Problem;
 use relume_capture::CapturePhotos;
 
-/// Captures that are open at once.
+/// Maximum number of open captures.
 const MAX_OPEN_CAPTURES: NonZeroUsize = NonZeroUsize::new(4).unwrap();
-/// How long one stays open, whoever asks for it.
+/// Time for which a capture stays open.
 const KEEP_OPEN: Duration = Duration::from_secs(30);
 
-/// A capture that is open.
+/// An open capture.
 pub(super) struct Opened {
     pub(super) photographs: CapturePhotos,
-    /// What was borrowed for it.
+    /// The permit for its memory.
     pub(super) _memory: Option<MemoryPermit>,
 }
 
-/// The captures that are open, by the hash of their archives. Clones share them.
+/// The open captures, by the hash of their archives. Clones share them.
 #[derive(Clone)]
 pub(super) struct OpenedCaptures {
     open: Arc<Mutex<LruCache<String, Arc<Opened>>>>,
@@ -40,16 +40,16 @@ impl Default for OpenedCaptures {
 }
 
 impl OpenedCaptures {
-    /// The capture whose archive has this hash, opened by `open` where it is not open yet.
+    /// The capture with this hash. `open` opens it if it is not open.
     ///
     /// # Errors
-    /// That of `open`.
+    /// The error of `open`.
     pub(super) async fn get(
         &self,
         sha256: &str,
         open: impl AsyncFnOnce() -> Result<Opened, Problem>,
     ) -> Result<Arc<Opened>, Problem> {
-        // Whoever comes second finds it open.
+        // A concurrent request for the same capture finds it open.
         let _key_guard = self.keyed_locks.take(sha256).await;
         if let Some(opened) = self.lock().get(sha256) {
             return Ok(opened.clone());
@@ -65,7 +65,7 @@ impl OpenedCaptures {
         tokio::spawn(async move {
             tokio::time::sleep(KEEP_OPEN).await;
             let mut open = kept.lock();
-            // It may have been opened anew since.
+            // The capture may have been opened again since.
             if open.peek(&sha256).is_some_and(|now| std::ptr::eq(Arc::as_ptr(now), opened.as_ptr())) {
                 open.pop(&sha256);
             }

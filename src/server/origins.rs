@@ -5,7 +5,7 @@ use std::str::FromStr;
 use axum::http::{HeaderName, HeaderValue, Method, Uri, header};
 use tower_http::cors::{AllowHeaders, AllowMethods, AllowOrigin, CorsLayer, ExposeHeaders};
 
-/// Headers of answers that pages may read beside those that they always may.
+/// Headers that pages may read in addition to the CORS-safelisted ones.
 const EXPOSED: [HeaderName; 15] = [
     header::ETAG,
     header::LOCATION,
@@ -27,15 +27,15 @@ const EXPOSED: [HeaderName; 15] = [
 /// An origin whose web pages may call the API.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CorsOrigin {
-    /// Every origin, written `*`; browsers send no cookies or stored credentials then.
+    /// All origins, written `*`. Browsers then send no cookies or stored credentials.
     Any,
     /// One origin, as a browser sends it.
     One(HeaderValue),
 }
 
-/// What is wrong with an origin.
+/// An invalid origin.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is no origin: it must be * or like https://app.example.org, in lower case, without a path")]
+#[error("{0:?} is not an origin: must be * or like https://app.example.org, in lower case, without a path")]
 pub struct OriginError(String);
 
 impl FromStr for CorsOrigin {
@@ -50,7 +50,7 @@ impl FromStr for CorsOrigin {
         let (Some(scheme @ ("http" | "https")), Some(authority)) = (uri.scheme_str(), uri.authority()) else {
             return Err(wrong());
         };
-        // The comparison with what a browser sends is byte by byte, so only its own way of writing is right.
+        // The origin is compared byte by byte with that of a browser, so only the canonical form is valid.
         let canonical = format!("{scheme}://{authority}").to_ascii_lowercase();
         if canonical != text || authority.as_str().contains(['@', '*']) {
             return Err(wrong());
@@ -59,7 +59,7 @@ impl FromStr for CorsOrigin {
     }
 }
 
-/// Lets pages of the listed origins call the API, and no others; `None` when none is listed.
+/// Permits pages of the given origins to call the API, and no others; `None` if there are none.
 pub(super) fn cors(origins: &[CorsOrigin]) -> Option<CorsLayer> {
     let listed = origins.iter().map(|origin| match origin {
         CorsOrigin::Any => None,

@@ -1,4 +1,4 @@
-//! `/v1/captures/{id}/photographs`: the photographs of a capture, listed and shown.
+//! `/v1/captures/{id}/photographs`: the list of a capture's photographs, and their images.
 
 use std::sync::Arc;
 
@@ -28,9 +28,9 @@ use relume_capture::{CaptureError, CapturePhotos, PictureOptions};
 use relume_scene::ImageRgba;
 use relume_scene::srgb;
 
-/// Widths that may be asked for, pixels.
+/// Permitted widths, pixels.
 const WIDTHS: std::ops::RangeInclusive<u32> = 16..=4096;
-/// Pictures up to this width are kept on disk.
+/// Maximum width of images that are cached on disk, pixels.
 const CACHED_WIDTH: u32 = 1024;
 const QUALITY: u8 = 90;
 
@@ -39,7 +39,7 @@ pub(super) fn lists() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(list_photographs))
 }
 
-/// The route that answers with pictures.
+/// The route that returns images.
 pub(super) fn pictures() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(get_photograph))
 }
@@ -149,22 +149,22 @@ async fn get_photograph(
     Ok(response)
 }
 
-/// A picture that is asked for.
+/// A requested image.
 struct PhotographRequest<'a> {
     caller: &'a Caller,
     capture: &'a CaptureRecord,
     name: &'a str,
     options: PictureOptions,
-    /// Of everything it depends on.
+    /// The digest of everything that determines the image.
     digest: &'a str,
 }
 
 impl PhotographRequest<'_> {
-    /// The file as it is cached, or made and cached; nothing of it where only its head is asked for.
+    /// The cached image, or a new one that is then cached. With `head` only the existence is checked, and the result is empty.
     async fn found_or_made(&self, app: &AppState, head: bool) -> Result<Vec<u8>, Problem> {
         let id = self.capture.id.as_str();
         let is_small = self.options.width.is_some_and(|width| width <= CACHED_WIDTH);
-        // Equal pictures that are asked for together are made once.
+        // Concurrent requests for the same image compute it once.
         let _key_guard = app.thumbnail_locks.take(self.digest).await;
         if is_small && let Some(bytes) = app.thumbnails.get(id, self.digest).await {
             return Ok(bytes);
@@ -179,7 +179,7 @@ impl PhotographRequest<'_> {
         let bytes = self.make(app, opened).await?;
         if is_small && !app.store.disk_space().is_short() {
             app.thumbnails.put(id, self.digest, bytes.clone()).await;
-            // It may have been deleted meanwhile, and its pictures swept before this one was there.
+            // The capture and its cached images may have been deleted before this image was stored.
             if !matches!(app.store.capture(&self.caller.tenant, &self.capture.id).await, Ok(Some(_))) {
                 app.thumbnails.forget_all_of(id).await;
             }
@@ -193,7 +193,7 @@ impl PhotographRequest<'_> {
         let memory = app.memory.reserve(needed.map_err(|error| unreadable(&error))?).await?;
         let name = self.name.to_owned();
         let work = move || {
-            // Held until the work has ended, not only while somebody waits for it.
+            // Held until the work has ended, even if the caller no longer waits.
             let _held = memory;
             Ok(opened.photographs.picture(&name, &options).map(|image| jpeg(&image)))
         };
@@ -202,16 +202,16 @@ impl PhotographRequest<'_> {
     }
 }
 
-/// A capture of the caller that is ready.
+/// A capture of the caller in the state `ready`.
 async fn find(app: &AppState, caller: &Caller, id: &CaptureId) -> Result<CaptureRecord, Problem> {
     let found = app.store.capture(&caller.tenant, id).await?;
     found.ok_or_else(|| Problem::not_found("capture", id.as_str()))
 }
 
-/// Opens a capture whose file is sound.
+/// Opens a capture after its file is verified.
 async fn open(app: &AppState, caller: &Caller, capture: &CaptureRecord) -> Result<Arc<Opened>, Problem> {
     match app.store.artifacts().verify(&capture.artifact, &capture.sha256).await {
-        // It was deleted meanwhile.
+        // The capture was deleted in the meantime.
         Err(StoreError::Missing(_)) => {
             find(app, caller, &capture.id).await?;
             Err(Problem::internal("the archive of a capture is missing"))
@@ -233,24 +233,24 @@ async fn open_archive(app: &AppState, capture: &CaptureRecord) -> Result<Opened,
     Ok(Opened { photographs, _memory: memory })
 }
 
-/// Why a stored capture cannot be read: it was sound when it was stored.
+/// The problem of a stored capture that cannot be read, although it was valid when it was stored.
 fn unreadable(error: &CaptureError) -> Problem {
     if error.is_users_fault() { Problem::internal(error) } else { Problem::storage_failed(error) }
 }
 
-/// A hash of everything that an answer about a capture depends on, the program's version included.
+/// A hash of everything that determines an answer about a capture, including the program's version.
 fn digest(capture: &CaptureRecord, what: &str) -> String {
     hex(&Sha256::digest(format!("{}|{}|{what}", env!("CARGO_PKG_VERSION"), capture.sha256)))
 }
 
-/// A picture as a file, over white where it is transparent.
+/// An image as JPEG, over white where it is transparent.
 fn jpeg(image: &ImageRgba) -> Result<Vec<u8>, relume_capture::formats::ImageFileError> {
     let over_white = |&[r, g, b, a]: &[f32; 4]| [r, g, b].map(|v| srgb::to_u8(v * a + 1.0 - a));
     let pixels: Vec<[u8; 3]> = image.pixels.iter().map(over_white).collect();
     image_file::encode_jpeg(image.width, image.height, &pixels, QUALITY)
 }
 
-/// A name as one segment of a path (RFC 3986).
+/// A name as one path segment (RFC 3986).
 fn segment(name: &str) -> String {
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~".contains(&byte);
     let written = |byte: u8| match is_plain(byte) {

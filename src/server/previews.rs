@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/preview`: how a training looks while it runs.
+//! `/v1/jobs/{id}/preview`: previews of a running training.
 
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -23,7 +23,7 @@ use relume_api::{JobId, ModelId};
 use relume_spec::rendering::{FrameFormat, Output, Tier};
 use relume_train::render::{EncodeOptions, Orbit, Viewpoint};
 
-/// After how many seconds to ask again for a picture that will come.
+/// `Retry-After` for a preview that is being made, seconds.
 const SOON: u32 = 2;
 
 /// The routes of this file.
@@ -31,7 +31,7 @@ pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(preview))
 }
 
-/// Which picture.
+/// View and size of a preview.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -111,7 +111,7 @@ impl PreviewQuery {
         Ok(Orbit { azimuth_deg: self.azimuth, elevation_deg: self.elevation, size })
     }
 
-    /// The same picture of a model; relative to the path of the job's.
+    /// The same view of a model's thumbnail, relative to the path of the job's preview.
     fn thumbnail(&self, model: &ModelId) -> String {
         let size = self.size.unwrap_or(256);
         let angle = |name: &str, degrees: Option<f64>| {
@@ -123,7 +123,7 @@ impl PreviewQuery {
 }
 
 fn task(id: &JobId, preview: &Preview, orbit: Orbit) -> RenderTask {
-    // A preview shades each Gaussian; colour alone is blended from what is stored with them.
+    // A preview shades each Gaussian. Before materials are trained, the stored colours are blended.
     let (output, tier) = match preview.is_relightable {
         true => (Output::Rgb, Tier::Preview),
         false => (Output::Radiance, Tier::Standard),
@@ -140,7 +140,7 @@ fn task(id: &JobId, preview: &Preview, orbit: Orbit) -> RenderTask {
     }
 }
 
-/// Why there is no picture of a job without a model.
+/// The problem of a job without a model or preview.
 fn no_preview(job: &JobView) -> Problem {
     let problem = |why: &str| {
         Problem::new(StatusCode::NOT_FOUND, "no-preview", "The training has no preview").detail(why)

@@ -1,4 +1,4 @@
-//! How the server makes problems and sends them.
+//! Problems: their constructors and their HTTP responses.
 
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -9,7 +9,7 @@ use crate::worker::RenderFailure;
 use relume_api::problem::{ContentError, FieldError, TYPE_PREFIX};
 use relume_api::{ResourceKind, ResourceName};
 
-/// A problem that a handler answers with: the wire type with constructors for each kind, and its response.
+/// A problem that a handler returns: the wire type with constructors for each kind, and its response.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Problem(relume_api::Problem);
 
@@ -39,7 +39,7 @@ impl From<Problem> for relume_api::Problem {
     }
 }
 
-/// The schema is that of the wire type.
+/// The schema of the wire type.
 impl utoipa::PartialSchema for Problem {
     fn schema() -> utoipa::openapi::RefOr<utoipa::openapi::schema::Schema> {
         relume_api::Problem::schema()
@@ -57,7 +57,7 @@ impl utoipa::ToSchema for Problem {
 }
 
 impl Problem {
-    /// A problem of a stable kind.
+    /// A problem with a stable kind.
     pub fn new(status: StatusCode, kind: &str, title: &str) -> Self {
         Self(relume_api::Problem {
             kind: format!("{TYPE_PREFIX}{kind}"),
@@ -72,20 +72,20 @@ impl Problem {
         })
     }
 
-    /// A form that cannot be read.
+    /// A form that cannot be parsed.
     pub(super) fn malformed_form(reason: String) -> Self {
         Self::new(StatusCode::BAD_REQUEST, "malformed-form", "The multipart form cannot be read")
             .detail(reason)
     }
 
-    /// With a description of this occurrence.
+    /// Sets the description of this occurrence.
     #[must_use]
     pub fn detail(mut self, detail: impl Into<String>) -> Self {
         self.0.detail = Some(detail.into());
         self
     }
 
-    /// With the time after which to try again, seconds.
+    /// Sets the time after which the client may retry, seconds.
     #[must_use]
     pub fn retry_after(mut self, seconds: u32) -> Self {
         self.0.retry_after = Some(seconds);
@@ -104,7 +104,7 @@ impl Problem {
             .detail(format!("{what} {id:?} does not exist"))
     }
 
-    /// 422 that names a field.
+    /// 422, which names a field.
     pub fn invalid_field(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
         let (pointer, detail) = (pointer.into(), detail.into());
         let mut problem = Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid-field", "A field is invalid")
@@ -113,7 +113,7 @@ impl Problem {
         problem
     }
 
-    /// 422 for an uploaded file that was understood as far as needed to refuse it.
+    /// 422 for an uploaded file with invalid content.
     pub fn invalid_content(content: ContentError, detail: impl Into<String>) -> Self {
         let status = StatusCode::UNPROCESSABLE_ENTITY;
         let mut problem = Self::new(status, "invalid-content", "The uploaded file is invalid");
@@ -153,7 +153,7 @@ impl Problem {
             .detail(detail)
     }
 
-    /// 409 for what was to be deleted and is needed.
+    /// 409 for a resource that cannot be deleted because others need it.
     pub fn in_use(what: &ResourceName, mut needed_by: Vec<ResourceName>) -> Self {
         let count = needed_by.len();
         needed_by.truncate(100);
@@ -168,16 +168,16 @@ impl Problem {
         problem
     }
 
-    /// 500. The cause goes to the log, never to the client.
+    /// 500. The cause is logged and not sent to the client.
     pub fn internal(cause: impl std::fmt::Display) -> Self {
         tracing::error!(%cause, "internal error");
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed")
             .detail("the cause is in the server's log under this request_id")
     }
 
-    /// 500 for a disk that fails. The cause goes to the log, never to the client.
+    /// 500 for a disk failure. The cause is logged and not sent to the client.
     pub fn storage_failed(cause: impl std::fmt::Display) -> Self {
-        tracing::error!(%cause, "the disk failed");
+        tracing::error!(%cause, "a file operation failed");
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "storage-failed", "The storage failed")
             .detail("the cause is in the server's log under this request_id; retry after it is fixed")
     }
@@ -250,7 +250,7 @@ impl From<StoreError> for Problem {
             )
             .detail("use a new Idempotency-Key for a different body"),
             StoreError::Damaged(_) | StoreError::Missing(_) => {
-                tracing::error!(%error, "a stored file cannot be used");
+                tracing::error!(%error, "a stored file is damaged or missing");
                 Self::new(
                     StatusCode::INTERNAL_SERVER_ERROR,
                     "artifact-damaged",
@@ -291,7 +291,7 @@ impl From<RenderFailure> for Problem {
             RenderFailure::Gone { what, id } => Self::not_found(what, &id),
             RenderFailure::Refused { field, reason } => Self::invalid_field(format!("/{field}"), reason),
             RenderFailure::Device(error) => {
-                tracing::error!(%error, "the device failed under a render");
+                tracing::error!(%error, "the device failed during a render");
                 Self::new(StatusCode::SERVICE_UNAVAILABLE, "device-failed", "The device failed")
                     .retry_after(5)
             }

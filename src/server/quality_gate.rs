@@ -1,4 +1,4 @@
-//! Whether what a job asks of its model can be measured at all.
+//! Checks that the figures of a job's quality gate can be measured.
 
 use crate::server::problem::Problem;
 use relume_api::quality::QualityGate;
@@ -6,7 +6,7 @@ use relume_spec::CaptureReport;
 use relume_spec::training::TrainConfig;
 
 /// # Errors
-/// Names the entry that is no figure, cannot be understood, or cannot be measured on this capture and training.
+/// Names the entry that is not a figure, is invalid, or cannot be measured on this capture with these settings.
 pub(super) fn check(
     gate: &QualityGate,
     capture: &CaptureReport,
@@ -44,7 +44,7 @@ mod tests {
         let good = r#"{"novel_view.psnr": ">=28", "novel_view.ssim": "> 0.9"}"#;
         assert_eq!(refused(good, 1, 0.25), None);
         assert_eq!(refused(good, 0, 0.25).as_deref(), Some("/quality_gate"));
-        assert_eq!(refused("{}", 0, 0.25), None, "nothing is asked for");
+        assert_eq!(refused("{}", 0, 0.25), None, "an empty gate");
         assert_eq!(refused(good, 1, 1.0).as_deref(), Some("/quality_gate/novel_view.psnr"));
         assert_eq!(refused(r#"{"novel_view_radiance.psnr": ">20"}"#, 1, 1.0), None);
         assert_eq!(refused(r#"{"a/b": ">=28"}"#, 1, 0.25).as_deref(), Some("/quality_gate/a~1b"));

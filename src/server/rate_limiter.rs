@@ -1,5 +1,4 @@
-//! How many requests a key, and all keys of a tenant together, may make: a bucket for each that fills steadily and holds a
-//! minute's worth.
+//! Rate limits of keys and tenants: a token bucket for each, which is refilled steadily up to the requests of one minute.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
@@ -10,15 +9,15 @@ use crate::server::caller::Caller;
 use crate::server::problem::Problem;
 use relume_api::{KeyId, TenantId};
 
-/// The headers of the IETF's draft on rate limits.
+/// The headers of the IETF draft on rate limits.
 const LIMIT: HeaderName = HeaderName::from_static("ratelimit");
 const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
 const MINUTE_MS: i64 = 60_000;
 
-/// Where nothing is said about tenants, one makes as many requests as this many keys may.
+/// Default limit of a tenant, in multiples of the limit of a key.
 const DEFAULT_KEYS_PER_TENANT: u32 = 10;
 
-/// The buckets of all keys and tenants. Only keys that were found good have one, so that nobody can make many.
+/// The buckets of all keys and tenants. Only valid keys have one, so that their number is limited.
 pub(super) struct RateLimiter {
     per_minute: Option<u32>,
     tenant_per_minute: Option<u32>,
@@ -31,7 +30,7 @@ struct TokenBuckets {
     of_tenants: HashMap<TenantId, TokenBucket>,
 }
 
-/// What was left at a time, in requests times [`MINUTE_MS`]: whole numbers forget nothing.
+/// The remaining requests at a time, in units of a request divided by [`MINUTE_MS`], so that integers lose no fraction.
 #[derive(Clone, Copy)]
 struct TokenBucket {
     per_minute: u32,
@@ -39,32 +38,32 @@ struct TokenBucket {
     at_ms: i64,
 }
 
-/// How a key and its tenant stand after a request.
+/// The status of a key and its tenant after a request.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct RateLimitStatus(Vec<BucketStatus>);
 
-/// How one of them stands.
+/// The status of one bucket.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct BucketStatus {
-    /// `requests` of the key or `tenant`.
+    /// `requests` for the key, or `tenant`.
     name: &'static str,
     per_minute: u32,
-    /// Whole requests that are left.
+    /// Remaining whole requests.
     left: i64,
-    /// Seconds until all are left again.
+    /// Seconds until the bucket is full.
     full_in: i64,
-    /// Seconds until there is one; 0 when this one was.
+    /// Seconds until the next request is permitted; 0 if this one was permitted.
     wait: i64,
 }
 
 impl RateLimiter {
-    /// Requests a minute of a key and of a tenant; without the second, ten times the first.
+    /// Limits per minute of a key and of a tenant; without the second, ten times the first.
     pub(super) fn new(per_minute: Option<u32>, tenant_per_minute: Option<u32>) -> Self {
         let of_tenant = tenant_per_minute.or(per_minute.map(|n| n.saturating_mul(DEFAULT_KEYS_PER_TENANT)));
         Self { per_minute, tenant_per_minute: of_tenant, buckets: Mutex::default() }
     }
 
-    /// Takes a request from the buckets of a caller's key and tenant, or from neither; `None` where there is no limit.
+    /// Takes a request from the buckets of the caller's key and tenant, or from neither; `None` without a limit.
     pub(super) fn take(&self, caller: &Caller, now_ms: i64) -> Option<RateLimitStatus> {
         let mut guard = self.buckets.lock().unwrap_or_else(PoisonError::into_inner);
         let buckets = &mut *guard;
@@ -91,13 +90,13 @@ impl TokenBucket {
 
     fn fill(&mut self, now_ms: i64) {
         let rate = i64::from(self.per_minute);
-        // A clock that was set back fills nothing.
+        // A clock that was set back adds nothing.
         let passed = (now_ms - self.at_ms).clamp(0, MINUTE_MS);
         self.left = (self.left + passed * rate).min(rate * MINUTE_MS);
         self.at_ms = now_ms;
     }
 
-    /// Gives a request if every bucket has one, and says how it stands then.
+    /// Takes a request if every bucket has one, and returns the status.
     fn take(&mut self, name: &'static str, is_there: bool) -> BucketStatus {
         let rate = i64::from(self.per_minute);
         self.left -= if is_there { MINUTE_MS } else { 0 };
@@ -110,7 +109,7 @@ impl TokenBucket {
 
 impl RateLimitStatus {
     /// # Errors
-    /// 429 when there was no request left.
+    /// 429 if no request was left.
     pub(super) fn check(&self) -> Result<(), Problem> {
         let Some(short) = self.0.iter().filter(|status| status.wait > 0).max_by_key(|status| status.wait)
         else {
@@ -123,7 +122,7 @@ impl RateLimitStatus {
             .retry_after(u32::try_from(short.wait).unwrap_or(u32::MAX)))
     }
 
-    /// Says how the key and its tenant stand.
+    /// Writes the status of the key and its tenant.
     pub(super) fn write_headers(&self, headers: &mut HeaderMap) {
         let list = |line: fn(&BucketStatus) -> String| self.0.iter().map(line).collect::<Vec<_>>().join(", ");
         let lines = [
@@ -160,11 +159,11 @@ mod tests {
         let take = |at_ms: i64| statuses(&rates, &caller("a", "t"), at_ms)[0];
         assert_eq!([take(0), take(0), take(0)], [(2, 20, 0), (1, 40, 0), (0, 60, 0)]);
         assert_eq!(take(0), (0, 60, 20));
-        assert_eq!(take(19_999), (0, 41, 1), "one is there after a third of a minute");
-        assert_eq!(take(20_000), (0, 60, 0), "and what was refused took none");
+        assert_eq!(take(19_999), (0, 41, 1), "one request is added after a third of a minute");
+        assert_eq!(take(20_000), (0, 60, 0), "a refused request takes nothing");
         assert_eq!(take(10_000), (0, 60, 20), "a clock that is set back");
-        assert_eq!(take(10_000_000), (2, 20, 0), "never more than a minute's worth");
-        assert_eq!(statuses(&rates, &caller("b", "t"), 0)[0].0, 2, "each key has its own");
+        assert_eq!(take(10_000_000), (2, 20, 0), "at most the requests of one minute");
+        assert_eq!(statuses(&rates, &caller("b", "t"), 0)[0].0, 2, "each key has its own bucket");
         assert!(RateLimiter::new(None, None).take(&caller("a", "t"), 0).is_none());
     }
 
@@ -177,15 +176,15 @@ mod tests {
         assert_eq!(
             take("a", "t"),
             [(0, 60, 30), (1, 40, 0)],
-            "what the key may not takes none of the tenant's"
+            "a request that the key refuses takes nothing from the tenant"
         );
         assert_eq!(take("b", "t"), [(1, 30, 0), (0, 60, 0)]);
-        assert_eq!(take("c", "t"), [(2, 0, 0), (0, 60, 20)], "a fresh key has no more");
-        assert_eq!(take("c", "u"), [(1, 30, 0), (2, 20, 0)], "another tenant has its own");
+        assert_eq!(take("c", "t"), [(2, 0, 0), (0, 60, 20)], "a new key does not raise the tenant's limit");
+        assert_eq!(take("c", "u"), [(1, 30, 0), (2, 20, 0)], "another tenant has its own bucket");
         let by_default = RateLimiter::new(Some(2), None);
         let made = (0..12).map(|n| by_default.take(&caller(&n.to_string(), "t"), 0).unwrap());
         assert_eq!(made.filter(|standing| standing.check().is_ok()).count(), 12);
         let more = (0..12).map(|n| by_default.take(&caller(&n.to_string(), "t"), 0).unwrap());
-        assert_eq!(more.filter(|standing| standing.check().is_ok()).count(), 8, "twenty in all");
+        assert_eq!(more.filter(|standing| standing.check().is_ok()).count(), 8, "twenty in total");
     }
 }

@@ -1,4 +1,4 @@
-//! From the fields of a render request to a camera and a quality; a refusal names the field.
+//! Validates the fields of a render request. Errors name the field.
 
 use crate::server::problem::Problem;
 use relume_api::renders::RenderRequest;
@@ -6,14 +6,14 @@ use relume_scene::Camera;
 use relume_spec::rendering::{FrameFormat, Output, Quality, Tier, is_colour};
 use relume_train::render::{EncodeOptions, RenderError};
 
-/// Longest side of a frame, pixels.
+/// Maximum side of a frame, pixels.
 const MAX_SIDE: u32 = 4096;
-/// Most queries through the Gaussians a frame of the Monte-Carlo tier may cost: on the CPU engine, where they take some seconds, and on
-/// a GPU.
+/// Maximum number of queries through the Gaussians for a frame of the Monte-Carlo tier: on the CPU engine, where they take some
+/// seconds, and on a GPU.
 const MAX_QUERIES: [u64; 2] = [1 << 21, 1 << 27];
 
-/// The tier and samples asked for of a frame of `size`, width and height in pixels; refuses one that would occupy a thread of
-/// frames for too long.
+/// The requested tier and samples for a frame of `size`, width and height in pixels. Refuses a frame that would occupy a
+/// rendering thread for too long.
 pub(super) fn quality(
     tier: Tier,
     samples: Option<u32>,
@@ -38,7 +38,7 @@ pub(super) fn quality(
     Ok(quality)
 }
 
-/// Refuses outputs that no file of the format holds.
+/// Refuses outputs that the file format does not support.
 pub(super) fn check_outputs(outputs: &[Output], format: FrameFormat) -> Result<(), Problem> {
     let refuse = |why: &str| Err(Problem::invalid_field("/outputs", why));
     if let Some(i) = (1..outputs.len()).find(|&i| outputs[..i].contains(&outputs[i])) {
@@ -55,7 +55,7 @@ pub(super) fn check_outputs(outputs: &[Output], format: FrameFormat) -> Result<(
     }
 }
 
-/// How the picture is finished; refuses what the format cannot show.
+/// The encoding options. Refuses options that the format does not support.
 pub(super) fn finish(request: &RenderRequest, format: FrameFormat) -> Result<EncodeOptions, Problem> {
     let encoding = EncodeOptions {
         background: request.background,
@@ -66,7 +66,7 @@ pub(super) fn finish(request: &RenderRequest, format: FrameFormat) -> Result<Enc
     check_finish(&encoding, &request.outputs, format).map(|()| encoding)
 }
 
-/// Refuses what the format cannot show.
+/// Refuses options that the format does not support.
 pub(super) fn check_finish(
     encoding: &EncodeOptions,
     outputs: &[Output],
@@ -78,7 +78,7 @@ pub(super) fn check_finish(
     })
 }
 
-/// The camera asked for.
+/// The requested camera.
 pub(super) fn camera(request: &RenderRequest) -> Result<Camera, Problem> {
     check_sides((request.width, request.height))?;
     request
@@ -87,7 +87,7 @@ pub(super) fn camera(request: &RenderRequest) -> Result<Camera, Problem> {
         .map_err(|error| Problem::invalid_field(format!("/camera{}", error.pointer), error.detail))
 }
 
-/// Refuses a width or a height out of range.
+/// Refuses a width or height out of range.
 pub(super) fn check_sides((width, height): (u32, u32)) -> Result<(), Problem> {
     for (field, side) in [("/width", width), ("/height", height)] {
         if !(1..=MAX_SIDE).contains(&side) {
@@ -110,6 +110,6 @@ mod tests {
         assert!(refused(256, 800, true) && refused(0, 8, true));
         let why = asked(Tier::MonteCarlo, 1, 2048, false).unwrap_err();
         assert!(format!("{why:?}").contains("2097152 pixels"), "{why:?}");
-        assert!(asked(Tier::High, 64, 4096, false).is_ok(), "the control: others draw none");
+        assert!(asked(Tier::High, 64, 4096, false).is_ok(), "the control: other tiers draw no samples");
     }
 }

@@ -1,4 +1,4 @@
-//! `/v1/models/{id}/render`: relit frames and G-buffers for any camera under any light.
+//! `/v1/models/{id}/render`: relit frames and G-buffers for any camera and light.
 
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
@@ -22,7 +22,7 @@ use relume_scene::Camera;
 use relume_spec::rendering::{Background, FrameFormat};
 use relume_train::render::{EncodeOptions, EncodedFrame, FrameMetadata, Viewpoint};
 
-/// Largest body: a 2k map in base64 and the rest.
+/// Maximum bytes of a body: a 2k map in Base64 and the other fields.
 const BODY_LIMIT: usize = 64 << 20;
 const DEPTH_RANGE: HeaderName = HeaderName::from_static("relume-depth-range");
 
@@ -81,7 +81,7 @@ async fn render(
     Ok(respond(render_frame(&app, task, format, encoding).await?, format))
 }
 
-/// What a file says of how it was made.
+/// The metadata of an image file.
 pub(super) fn notes(task: &RenderTask, camera: Option<Camera>) -> FrameMetadata {
     FrameMetadata {
         model: task.model.id.to_string(),
@@ -94,20 +94,20 @@ pub(super) fn notes(task: &RenderTask, camera: Option<Camera>) -> FrameMetadata 
     }
 }
 
-/// An encoded frame and the value of the header `Server-Timing`: how long the request waited and took.
+/// An encoded frame, with the header `Server-Timing`: queue time and render time.
 pub(super) struct TimedFrame {
     encoded: EncodedFrame,
     timing: String,
 }
 
 impl TimedFrame {
-    /// The image file.
+    /// The bytes of the image file.
     pub(super) fn bytes(&self) -> &[u8] {
         &self.encoded.bytes
     }
 }
 
-/// The file of a frame that is rendered while nobody else waits for one.
+/// Renders a frame with the lowest priority, when no other request waits for one.
 ///
 /// # Errors
 /// As [`render_frame`].
@@ -123,14 +123,14 @@ pub(super) async fn render_in_background(
     Ok(app.encoders.encode(rendered.answer, outputs, format, encoding, memory).await?.bytes)
 }
 
-/// Renders on the thread of frames and encodes off it.
+/// Renders on a rendering thread and encodes on another.
 pub(super) async fn render_frame(
     app: &AppState,
     task: RenderTask,
     format: FrameFormat,
     encoding: EncodeOptions,
 ) -> Result<TimedFrame, Problem> {
-    // Held from before the queue to the encoded file.
+    // Held from the queue to the encoded file.
     let memory = app.memory.reserve(frame_bytes(task.pixels(), &task.outputs)).await?;
     let outputs = task.outputs.clone();
     let rendered = app.device.render(task).await?;
@@ -145,7 +145,7 @@ pub(super) async fn render_frame(
     Ok(TimedFrame { encoded, timing })
 }
 
-/// The response that carries a frame.
+/// The response with the frame.
 pub(super) fn respond(TimedFrame { encoded, timing }: TimedFrame, format: FrameFormat) -> Response {
     let mut response = encoded.bytes.into_response();
     if let Ok(value) = HeaderValue::from_str(&timing) {

@@ -1,4 +1,4 @@
-//! A server beside the first one of a database: it answers, renders and trains, and leaves alone what only one may do at a time.
+//! Replicas: additional servers of a database that answer, render and train, but leave some operations to the first server.
 
 use axum::extract::{MatchedPath, Request};
 use axum::http::{Method, StatusCode};
@@ -7,8 +7,8 @@ use axum::response::{IntoResponse, Response};
 
 use crate::server::problem::Problem;
 
-/// What the first server alone does, all methods of a path where none is named: what brings files in, makes them in the background, or
-/// takes them away.
+/// Operations of the first server only; without a method, all methods of a path. They store files, create files in the
+/// background, or delete files.
 const PRIMARY_ONLY: &[(Option<Method>, &str)] = &[
     (Some(Method::POST), "/v1/captures"),
     (Some(Method::DELETE), "/v1/captures/{id}"),
@@ -27,7 +27,7 @@ fn is_primary_only(method: &Method, path: &str) -> bool {
     PRIMARY_ONLY.iter().any(|(of, route)| *route == path && of.as_ref().is_none_or(|of| of == method))
 }
 
-/// Refuses what is the first server's.
+/// Refuses operations of the first server.
 pub(super) async fn check(request: Request, next: Next) -> Response {
     let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
     if !is_primary_only(request.method(), route) {

@@ -17,7 +17,7 @@ use crate::server::{
 };
 
 fn families() -> OpenApiRouter<AppState> {
-    // What takes or reads archives, which may be large.
+    // Routes that receive or read archives, which may be large.
     let taking = captures::uploads()
         .merge(cameras::routes())
         .merge(photographs::lists())
@@ -50,11 +50,11 @@ fn families() -> OpenApiRouter<AppState> {
                 .merge(viewer::routes()),
             &THUMBNAILS,
         ))
-        // Without bounds: whoever looks after the server is answered whatever it is doing.
+        // Without limits, so that health checks are answered under any load.
         .merge(health::routes())
 }
 
-/// The description of the API.
+/// The OpenAPI description of the API.
 pub fn openapi() -> OpenApi {
     description::with_short_defaults(description::with_problems(families().split_for_parts().1))
 }

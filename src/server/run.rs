@@ -1,4 +1,4 @@
-//! A server from start to end: lock the data directory, recover, serve, drain.
+//! The life cycle of a server: lock the data directory, recover, serve, drain.
 
 use std::future::Future;
 use std::net::SocketAddr;
@@ -43,71 +43,73 @@ use crate::store::{
 use crate::worker::{DeviceHandle, WorkerOptions};
 use relume_engine::DeviceError;
 
-/// Time between two searches for leases that ran out; metrics are maintained then, too.
+/// Interval of maintenance: expired leases, metrics, disk space.
 const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(10);
-/// Bytes of rendered thumbnails that are kept unless another bound is given.
+/// Default size limit of cached thumbnails, bytes.
 const THUMBNAIL_CACHE: u64 = 256 << 20;
-/// How long open connections may take to end after a shutdown was asked for.
+/// Maximum time for open connections to end after a shutdown request.
 const DRAIN: Duration = Duration::from_secs(20);
 
-/// How a server runs.
+/// The configuration of a server.
 #[derive(Clone)]
 pub struct ServerConfig {
-    /// Where everything is stored. One server for each directory.
+    /// The data directory. Only one server can use it.
     pub data_dir: PathBuf,
-    /// Where metadata are instead of in a file of SQLite in that directory. One server for each database, and replicas.
+    /// The PostgreSQL database for the metadata, in place of a SQLite file in the data directory. One first server and any number
+    /// of replicas use it.
     pub database: Option<DatabaseUrl>,
-    /// Whether another server is the first on the database: this one answers, renders and trains, and takes no files in, makes no
-    /// exports and deletes nothing. Needs a `database`, and artifacts that both reach.
+    /// Whether this server is a replica: it answers, renders and trains, but accepts no uploads, makes no exports and deletes
+    /// nothing. Requires a `database`, and artifacts that both servers can reach.
     pub replica: bool,
-    /// The object store that has artifacts, of which the data directory is a cache then.
+    /// The object store for artifacts, with the data directory as its cache.
     pub artifacts: Option<ObjectStoreConfig>,
-    /// Accepted keys beside those in the database; without any at all, everyone is accepted, on loopback only.
+    /// Keys that are accepted in addition to those in the database. Without any key all callers are accepted, and the server
+    /// listens only on loopback.
     pub api_keys: ApiKeys,
     /// Origins whose web pages may call the API.
     pub cors_origins: Vec<CorsOrigin>,
-    /// Names beside loopback by which a server without a key may be called.
+    /// Host names besides loopback under which clients may call a server without keys.
     pub allowed_hosts: Vec<String>,
-    /// Bounds on requests.
+    /// Limits of requests.
     pub limits: RequestLimits,
-    /// Bounds on uploads that arrive in pieces.
+    /// Limits of resumable uploads.
     pub uploads: UploadLimits,
-    /// Bounds on connections.
+    /// Limits of connections.
     pub connections: ConnectionLimits,
-    /// Requests that a key may make a minute; any number when absent.
+    /// Maximum requests of a key per minute; `None` is unlimited.
     pub requests_per_minute: Option<u32>,
-    /// Requests that all keys of a tenant may make a minute; ten times that of a key when absent.
+    /// Maximum requests of all keys of a tenant per minute; `None` is ten times the limit of a key.
     pub requests_per_minute_of_tenant: Option<u32>,
-    /// Bytes of rendered thumbnails that are kept in the data directory; 0 for none. No tenant's quota counts them.
+    /// Size limit of cached thumbnails in the data directory, bytes; 0 disables the cache. They count towards no tenant's quota.
     pub thumbnail_cache: u64,
-    /// How much a tenant may have.
+    /// The quota of a tenant.
     pub quota: Quota,
-    /// How leases behave.
+    /// Parameters of leases.
     pub lease: LeasePolicy,
-    /// What is done about photographs without poses.
+    /// The policy for photographs without poses.
     pub poses: PosesPolicy,
-    /// From where captures may be fetched.
+    /// The policy for fetching captures.
     pub fetching: FetchPolicy,
-    /// How exports are made.
+    /// The policy for exports.
     pub exports: ExportPolicy,
-    /// What webhooks may do.
+    /// The policy for webhooks.
     pub webhooks: WebhookPolicy,
-    /// How long things are kept.
+    /// The retention of resources.
     pub retention: Retention,
-    /// Sizes of the worker.
+    /// Options of the worker.
     pub worker: WorkerOptions,
-    /// Which devices train. Frames are rendered on that of `worker`.
+    /// The devices that train. Frames are rendered on the device of `worker`.
     pub trainers: Trainers,
-    /// Labels of this server's workers, which jobs may ask for.
+    /// Labels of this server's workers, which jobs can require.
     pub worker_labels: Vec<String>,
-    /// Tells the time.
+    /// The clock.
     pub clock: Arc<dyn Clock>,
-    /// Makes identifiers.
+    /// The generator of identifiers.
     pub ids: Arc<dyn Ids>,
 }
 
 impl ServerConfig {
-    /// The defaults on a data directory.
+    /// The default configuration for a data directory.
     pub fn new(data_dir: impl Into<PathBuf>) -> Self {
         Self {
             data_dir: data_dir.into(),
@@ -139,23 +141,23 @@ impl ServerConfig {
     }
 }
 
-/// Why a server did not start or did not end well.
+/// Why a server did not start, or failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// Without a key it would be open to the network.
     #[error(
-        "refusing to listen on {0} without an API key; make one with `relume keys create`, set --api-key-file or RELUME_API_KEYS, or bind 127.0.0.1"
+        "refusing to listen on {0} without an API key; create one with `relume keys create`, set --api-key-file or RELUME_API_KEYS, or bind 127.0.0.1"
     )]
     Exposed(SocketAddr),
     /// Without a key any web page could use it.
     #[error(
-        "refusing the CORS origin * without an API key: any web page could use this server; make a key with `relume keys create`"
+        "refusing the CORS origin * without an API key: any web page could use this server; create a key with `relume keys create`"
     )]
     OpenToPages,
     /// The data directory cannot be used.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The device that was asked for cannot be had.
+    /// The requested device is not available.
     #[error(transparent)]
     Device(#[from] DeviceError),
     /// The network or a thread failed.
@@ -173,8 +175,8 @@ impl From<LocalWorkersError> for ServeError {
     }
 }
 
-/// Serves until `shutdown` resolves, then drains: claims nothing more, checkpoints and releases the running job,
-/// ends event streams and lets open requests finish.
+/// Serves until `shutdown` resolves, then drains: claims no more jobs, checkpoints and releases the running job, ends event
+/// streams and lets open requests finish.
 ///
 /// # Errors
 /// See [`ServeError`].
@@ -223,14 +225,14 @@ pub async fn run(
         background_tasks.end().await;
     }
     if let Err(error) = jobs.remove_workers(Some(name.as_str())).await {
-        tracing::warn!(%error, "the workers of this server stay on the list until the next start");
+        tracing::warn!(%error, "cannot remove the workers of this server from the registry; the next start removes them");
     }
     store.close().await;
     tracing::info!("stopped");
     Ok(())
 }
 
-/// What trains and renders.
+/// The configuration of the local workers.
 fn plan(config: &ServerConfig) -> LocalWorkersConfig {
     LocalWorkersConfig {
         options: config.worker,
@@ -240,7 +242,7 @@ fn plan(config: &ServerConfig) -> LocalWorkersConfig {
     }
 }
 
-/// Whether everyone is accepted.
+/// Whether callers without a key are accepted.
 ///
 /// # Errors
 /// When the network or web pages could use such a server.
@@ -255,7 +257,7 @@ async fn check_openness(config: &ServerConfig, address: SocketAddr) -> Result<bo
     Ok(is_open)
 }
 
-/// Opens what is stored.
+/// Opens the store.
 async fn open(config: &ServerConfig) -> Result<Store, ServeError> {
     let (root, url) = (&config.data_dir, config.database.as_ref());
     let store = if config.replica {
@@ -273,14 +275,14 @@ async fn open(config: &ServerConfig) -> Result<Store, ServeError> {
     Ok(store)
 }
 
-/// Opens what was rendered before.
+/// Opens the thumbnail cache.
 async fn open_thumbnails(config: &ServerConfig) -> std::io::Result<ThumbnailCache> {
     let (data_dir, most) = (config.data_dir.clone(), config.thumbnail_cache);
     let opened = tokio::task::spawn_blocking(move || ThumbnailCache::open(&data_dir, most)).await;
     opened.map_err(std::io::Error::other)
 }
 
-/// All routes behind all that stands before them.
+/// All routes with the middleware.
 fn service(
     config: &ServerConfig,
     is_open: bool,
@@ -331,32 +333,33 @@ fn service(
     Ok((router(app.clone(), stack), app))
 }
 
-/// Takes back what a server that died left. The caller holds the node lock, so no other process works here.
+/// Recovers the state that a terminated server left. The caller holds the lock of the data directory, so no other process uses
+/// it.
 async fn recover(store: &Store, jobs: &Jobs, server: &str) -> Result<(), StoreError> {
     store.artifacts().clean_up_incoming()?;
     store.recover_uploads().await?;
     let exports = store.requeue_exports(None).await?;
     if exports > 0 {
-        tracing::info!(exports, "goes on with exports of a server that ended");
+        tracing::info!(exports, "returned the exports of the previous server to the queue");
     }
     let take_back = async || {
         jobs.reset_worker_registry(server).await?;
         jobs.reclaim_all().await
     };
     let recovered = match take_back().await {
-        // A crash on a full disk leaves a job that has to be taken back on a full disk.
+        // After a crash on a full disk the jobs must be reclaimed on a full disk.
         Err(StoreError::Full) if store.disk_space().spend_reserve() => take_back().await?,
         recovered => recovered?,
     };
     if !recovered.is_empty() {
-        tracing::info!(jobs = recovered.len(), "recovered jobs of a server that died");
+        tracing::info!(jobs = recovered.len(), "reclaimed the jobs of the previous server");
     }
-    // What was deleted goes before what nothing refers to, which would be set aside.
+    // Deleted resources are removed first, because otherwise their files would be moved to the orphans folder.
     if let Err(error) = store.finish_deletions(jobs.now_ms()).await {
-        tracing::error!(%error, "what was deleted cannot be swept yet");
+        tracing::error!(%error, "cannot remove the files of deleted resources yet");
     }
     if let Err(error) = store.clean_up_orphans(SystemTime::now()).await {
-        tracing::error!(%error, "left-overs cannot be swept");
+        tracing::error!(%error, "the startup cleanup of orphans failed");
     }
     Ok(())
 }
@@ -380,10 +383,10 @@ async fn serve(
     waiting.abort();
 }
 
-/// Sends to the object store what only this machine has and clears up there, once it can be reached.
+/// Reconciles the local artifacts with the object store, when it is reachable.
 async fn reconcile(store: Store) {
     while let Err(error) = store.reconcile_artifacts(SystemTime::now()).await {
-        tracing::error!(%error, "the object store of artifacts is not settled yet");
+        tracing::error!(%error, "the object-store reconciliation failed; retrying");
         tokio::time::sleep(MAINTENANCE_INTERVAL).await;
     }
 }
@@ -400,22 +403,22 @@ async fn maintain(
             Some(kept) => match kept.await {
                 Ok(()) => {}
                 Err(error @ StoreError::DatabaseLocked) => {
-                    tracing::error!(%error, "another server took over while the database was away; this one stops");
+                    tracing::error!(%error, "another server is now the first server; this server stops");
                     stop.cancel();
                 }
                 Err(error) => {
-                    tracing::error!(%error, "whether this is the first server is not known for now")
+                    tracing::error!(%error, "cannot check the lock of the first server at present")
                 }
             },
         }
         if let Err(error) = jobs.sync_clock().await {
-            tracing::error!(%error, "the time of the database is not known for now");
+            tracing::error!(%error, "cannot read the time of the database at present");
         }
         if let Err(error) = registry.heartbeat(&jobs).await {
-            tracing::error!(%error, "expired leases cannot be taken back");
+            tracing::error!(%error, "cannot record heartbeats and reclaim expired leases");
         }
         if let Err(error) = jobs.store().check_disk_space().await {
-            tracing::error!(%error, "there is no room to work");
+            tracing::error!(%error, "the disk space is not sufficient");
         }
         jobs.store().artifacts().trim().await;
         telemetry::metrics_handle().run_upkeep();

@@ -1,4 +1,4 @@
-//! What keeps foreign web pages away from a server without a key: a page can make its visitor's browser send requests to
+//! Protection of a server without keys against foreign web pages. A page can make the browser of its visitor send requests to
 //! 127.0.0.1, under its own name (DNS rebinding) or across sites.
 
 use std::net::IpAddr;
@@ -14,7 +14,7 @@ use tower_http::csrf::{CsrfLayer, ProtectionError};
 use crate::server::origins::CorsOrigin;
 use crate::server::problem::Problem;
 
-/// Names beside loopback by which the server may be called.
+/// Host names besides loopback under which the server may be called.
 #[derive(Clone, Default)]
 pub(super) struct TrustedHosts(Arc<[String]>);
 
@@ -25,7 +25,7 @@ impl From<Vec<String>> for TrustedHosts {
 }
 
 impl TrustedHosts {
-    /// Whether a request may call the server so; the port does not matter.
+    /// Whether a request may use this host; the port does not matter.
     fn trusts(&self, authority: &Authority) -> bool {
         let host = authority.host().trim_end_matches('.').to_ascii_lowercase();
         let address = host.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
@@ -33,7 +33,7 @@ impl TrustedHosts {
     }
 }
 
-/// Refuses requests that call the server by a name that is not its own.
+/// Refuses requests for other hosts.
 pub(super) async fn check_host(State(hosts): State<TrustedHosts>, request: Request, next: Next) -> Response {
     let called = request.uri().authority().cloned().or_else(|| {
         let value = request.headers().get(header::HOST)?;
@@ -49,7 +49,7 @@ pub(super) async fn check_host(State(hosts): State<TrustedHosts>, request: Reque
     Problem::forbidden("foreign-host", detail).into_response()
 }
 
-/// Refuses what pages of other origins send, except of those that CORS admits.
+/// Refuses requests from pages of other origins, except those that CORS permits.
 pub(super) fn csrf(
     origins: &[CorsOrigin],
 ) -> CsrfLayer<impl FnMut(ProtectionError) -> Response + Clone + Send + Sync + use<>> {
@@ -60,7 +60,7 @@ pub(super) fn csrf(
         {
             layer = match layer.clone().add_trusted_origin(text) {
                 Ok(added) => added,
-                // An origin that it does not understand is not trusted.
+                // An origin that cannot be parsed is not trusted.
                 Err(_) => layer,
             };
         }

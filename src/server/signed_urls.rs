@@ -63,7 +63,7 @@ async fn sign_url(
 }
 
 /// # Errors
-/// 404 when what is to be signed is nothing of the caller's.
+/// 404 if the resource is not one of the caller's tenant.
 async fn must_exist(app: &AppState, caller: &Caller, subject: &SignedResource) -> Result<(), Problem> {
     let (there, what, id) = match subject {
         SignedResource::Picture(id) => {

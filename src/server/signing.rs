@@ -1,6 +1,6 @@
-//! What is signed, and how: HMAC-SHA-256 over the path and query as they stand, whose key signs, and until when.
+//! Signatures of URLs: HMAC-SHA-256 over the path and query as written, the key of the caller, and the expiry time.
 //!
-//! A signed URL ends with `key=ID&expires=SECONDS&signature=HEX`, in this order. What stands before is compared byte by byte.
+//! A signed URL ends with `key=ID&expires=SECONDS&signature=HEX`, in this order. The part before is compared byte by byte.
 
 use hmac::{Hmac, KeyInit, Mac};
 use sha2::Sha256;
@@ -10,13 +10,13 @@ use crate::server::caller::Caller;
 use crate::store::hex;
 use relume_api::{ExportId, JobId, ModelId};
 
-/// Parameters that a signed URL gets.
+/// Parameters that a signature adds to a URL.
 const RESERVED: [&str; 3] = ["key", "expires", "signature"];
 
-/// What a URL that may be signed is about. These are all: `GET`s that a page lets the browser make.
+/// The resource of a URL that may be signed. All are `GET` requests that pages let the browser make.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum SignedResource {
-    /// A thumbnail of a model, its stream for viewers, or a light of that.
+    /// A thumbnail of a model, its stream for viewers, or a light for it.
     Picture(ModelId),
     /// A file of a model.
     File(ModelId, String),
@@ -27,7 +27,7 @@ pub(super) enum SignedResource {
 }
 
 impl SignedResource {
-    /// What a path is about, if it may be signed.
+    /// The resource of a path, if URLs of it may be signed.
     pub(super) fn of(path: &str) -> Option<Self> {
         let parts: Vec<&str> = path.strip_prefix("/v1/")?.split('/').collect();
         match *parts.as_slice() {
@@ -40,20 +40,20 @@ impl SignedResource {
     }
 }
 
-/// The query of a signed URL, taken apart.
+/// The parsed query of a signed URL.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct SignedQuery<'a> {
     /// The query that was signed.
     pub(super) query: Option<&'a str>,
-    /// Whose key signed.
+    /// The identifier of the key of the caller who signed.
     pub(super) key: &'a str,
-    /// Until when it is good, seconds since 1970 UTC.
+    /// Expiry time, seconds since 1970 UTC.
     pub(super) expires: i64,
     signature: &'a str,
 }
 
 impl<'a> SignedQuery<'a> {
-    /// Whether a query has a signature, good or not.
+    /// Whether a query has a signature, valid or not.
     pub(super) fn is_present(query: Option<&str>) -> bool {
         names(query).any(|name| name == "signature")
     }
@@ -66,11 +66,11 @@ impl<'a> SignedQuery<'a> {
             None => (None, rest.strip_prefix("key=")?),
         };
         let seconds: i64 = expires.parse().ok()?;
-        // Written as it was signed, without + or leading zeros.
+        // The number must have the form in which it was signed, without + or leading zeros.
         (seconds.to_string() == expires).then_some(Self { query, key, expires: seconds, signature })
     }
 
-    /// Whether the signature is that of `caller` for this path. Takes as long whichever character is wrong.
+    /// Whether the signature is that of `caller` for this path. The comparison takes constant time.
     pub(super) fn is_valid_for(&self, caller: &Caller, secret: &[u8], path: &str) -> bool {
         let expected = signature(secret, caller, path, self.query, self.expires);
         let same = |good: String| good.as_bytes().ct_eq(self.signature.as_bytes()).into();
@@ -78,7 +78,7 @@ impl<'a> SignedQuery<'a> {
     }
 }
 
-/// Path and query with a signature; `None` when the query has a reserved name.
+/// Path and query with a signature; `None` if the query contains a reserved parameter.
 pub(super) fn sign(
     caller: &Caller,
     secret: &[u8],
@@ -94,13 +94,13 @@ pub(super) fn sign(
     Some(format!("{path}?{before}key={}&expires={expires}&signature={signature}", caller.key))
 }
 
-/// The names of a query's parameters.
+/// The parameter names of a query.
 fn names(query: Option<&str>) -> impl Iterator<Item = &str> {
     query.into_iter().flat_map(|q| q.split('&')).map(|pair| pair.split('=').next().unwrap_or_default())
 }
 
-/// A line for each thing that is signed; none of them can have a line break in it. The hash of the key is among them, so that
-/// the signature ends with the key and not only with its name.
+/// Signs one line for each value; no value can contain a line break. The hash of the key is included, so that the signature
+/// becomes invalid with the key itself and not only with its identifier.
 fn signature(
     secret: &[u8],
     caller: &Caller,
@@ -141,7 +141,7 @@ mod tests {
             }
             assert!(!signed.is_valid_for(&me, b"Secret", path));
             assert!(!signed.is_valid_for(&me, b"secret", "/v1/models/n/thumbnail"));
-            // Every byte counts.
+            // Every byte matters.
             for at in 0..rest.len() {
                 let mut changed = rest.as_bytes().to_vec();
                 changed[at] = if changed[at] == b'1' { b'2' } else { b'1' };

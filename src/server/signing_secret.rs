@@ -1,5 +1,5 @@
-//! The secret under which URLs are signed: a file in the data directory that only the server's user may read. It is read each
-//! time, so that another one in its place counts at once.
+//! The secret for signing URLs: a file in the data directory that only the server's user may read. It is read for each use, so
+//! that a replacement takes effect immediately.
 
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 const FILE: &str = "signing.secret";
 const BYTES: usize = 32;
 
-/// Where the secret is.
+/// The location of the secret.
 #[derive(Debug, Clone)]
 pub(super) struct SigningSecret {
     folder: PathBuf,
@@ -22,34 +22,36 @@ impl SigningSecret {
         Self { folder: data_dir.to_owned() }
     }
 
-    /// The secret; none while nothing was signed.
+    /// The secret; `None` if no URL was signed yet.
     pub(super) async fn read(&self) -> std::io::Result<Option<Vec<u8>>> {
         match tokio::fs::read(self.folder.join(FILE)).await {
             Ok(secret) if secret.len() == BYTES => Ok(Some(secret)),
-            Ok(_) => Err(std::io::Error::other(format!("{FILE} does not have {BYTES} bytes: remove it"))),
+            Ok(_) => {
+                Err(std::io::Error::other(format!("{FILE} does not have {BYTES} bytes: remove the file")))
+            }
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
             Err(error) => Err(error),
         }
     }
 
-    /// The secret, made if there is none.
+    /// The secret, which is created if it does not exist.
     pub(super) async fn read_or_make(&self) -> std::io::Result<Vec<u8>> {
         if let Some(secret) = self.read().await? {
             return Ok(secret);
         }
         let folder = self.folder.clone();
         tokio::task::spawn_blocking(move || make(&folder, false)).await.map_err(std::io::Error::other)??;
-        // Of two that were made at once, one counts.
-        self.read().await?.ok_or_else(|| std::io::Error::other(format!("{FILE} is gone")))
+        // If two are created concurrently, only one is kept.
+        self.read().await?.ok_or_else(|| std::io::Error::other(format!("{FILE} was removed")))
     }
 }
 
-/// What stands for a secret where it must not be shown.
+/// A digest of a secret, for places that must not reveal it.
 pub(super) fn digest(secret: &[u8]) -> [u8; 32] {
     Sha256::digest(secret).into()
 }
 
-/// Puts a fresh secret into a data directory: URLs that were signed before are good no more.
+/// Replaces the secret of a data directory, which invalidates all signed URLs.
 ///
 /// # Errors
 /// When the file cannot be written.
@@ -57,7 +59,7 @@ pub fn rotate_signing_secret(data_dir: &Path) -> std::io::Result<()> {
     make(data_dir, true)
 }
 
-/// Writes a fresh secret, whole and readable by its owner alone from the first moment. Blocks.
+/// Writes a new secret atomically, in a file that only its owner can read. Blocks.
 fn make(folder: &Path, replace: bool) -> std::io::Result<()> {
     let mut secret = [0u8; BYTES];
     getrandom::fill(&mut secret)?;
@@ -89,7 +91,7 @@ mod tests {
         assert_eq!(mode & 0o777, 0o600);
         rotate_signing_secret(folder.path()).unwrap();
         assert_ne!(secret.read().await.unwrap(), Some(first));
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left beside it");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
         std::fs::write(folder.path().join(FILE), "short").unwrap();
         assert!(secret.read().await.is_err());
     }

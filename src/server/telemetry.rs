@@ -1,4 +1,4 @@
-//! What is done around every request: an identifier, a log line, metrics, and panics turned into problems.
+//! Instrumentation of requests: identifiers, log lines, metrics, and conversion of panics into problems.
 
 use std::any::Any;
 use std::sync::OnceLock;
@@ -14,13 +14,13 @@ use tracing::Instrument;
 use crate::server::problem::Problem;
 use crate::traces::{self, TraceParent};
 
-/// The header that carries the request's identifier, both ways.
+/// The header with the request's identifier, in requests and answers.
 pub(super) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
-/// What is known of a request wherever it is answered.
+/// The context of the request that is being answered.
 struct RequestContext {
     id: String,
-    /// What is done for it belongs to this span of a trace, if there is one.
+    /// The parent span for work on the request, if it belongs to a trace.
     parent: Option<TraceParent>,
 }
 
@@ -28,24 +28,24 @@ tokio::task_local! {
     static CURRENT: RequestContext;
 }
 
-/// The identifier of the request being answered; empty outside of one.
+/// The identifier of the current request; empty outside of a request.
 pub(super) fn request_id() -> String {
     CURRENT.try_with(|current| current.id.clone()).unwrap_or_default()
 }
 
-/// What the request being answered makes belongs to this span, as a W3C `traceparent`: the request's own, or the caller's where no
-/// spans are sent. `None` when it is part of no trace.
+/// The parent span for work that the current request causes, as a W3C `traceparent`: the span of the request, or that of the
+/// caller if no spans are sent. `None` if it belongs to no trace.
 pub(super) fn traceparent() -> Option<String> {
     CURRENT.try_with(|current| current.parent.as_ref().map(ToString::to_string)).ok().flatten()
 }
 
-/// Gives the request an identifier and a span, and counts it.
+/// Assigns an identifier and a span to the request, and counts it.
 pub(super) async fn instrument(request: Request, next: Next) -> Response {
     let id = accepted_id(&request).unwrap_or_else(|| uuid::Uuid::now_v7().to_string());
     let method = request.method().clone();
     let path = request.extensions().get::<MatchedPath>();
     let route = path.map_or("unmatched", MatchedPath::as_str).to_owned();
-    // Who calls is found out further in.
+    // The access control sets these fields.
     let (key, tenant) = (tracing::field::Empty, tracing::field::Empty);
     let span = tracing::info_span!("request", id, %method, route, key, tenant);
     let caller = caller_span(&request);
@@ -67,21 +67,21 @@ pub(super) async fn instrument(request: Request, next: Next) -> Response {
     response
 }
 
-/// The caller's own identifier, when it is short and has only characters that are safe in logs.
+/// The caller's own identifier, if it is short and has only characters that are safe in logs.
 fn accepted_id(request: &Request) -> Option<String> {
     let id = request.headers().get(REQUEST_ID)?.to_str().ok()?;
     let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     (!id.is_empty() && id.len() <= 64 && id.chars().all(plain)).then(|| id.to_owned())
 }
 
-/// The caller's span, by a valid `traceparent`. Of several headers none can be the right one.
+/// The caller's span from a valid `traceparent`. Several such headers are ambiguous and ignored.
 fn caller_span(request: &Request) -> Option<TraceParent> {
     let mut headers = request.headers().get_all(traces::HEADER).iter();
     let first = headers.next()?;
     if headers.next().is_some() { None } else { TraceParent::parse(first.to_str().ok()?) }
 }
 
-/// Labels come from fixed lists, so that no client can add time series.
+/// Labels have values from fixed lists, so that clients cannot add time series.
 fn record(method: &str, route: String, status: u16, seconds: f64) {
     let method = match method {
         "GET" | "HEAD" | "POST" | "PUT" | "PATCH" | "DELETE" | "OPTIONS" => method.to_owned(),
@@ -92,27 +92,27 @@ fn record(method: &str, route: String, status: u16, seconds: f64) {
     metrics::histogram!("relume_http_request_seconds", "route" => route).record(seconds);
 }
 
-/// Turns a panic in a handler into a problem.
+/// Converts a panic in a handler into a problem.
 pub(super) fn on_panic(panic: Box<dyn Any + Send>) -> Response {
     let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
     let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
     Problem::internal(text.unwrap_or_else(|| "panic".to_owned())).into_response()
 }
 
-/// The process's metrics. The recorder is global, so every server of a process shares it.
+/// The metrics of the process. The recorder is global, so all servers of a process share it.
 pub(super) fn metrics_handle() -> &'static PrometheusHandle {
     static HANDLE: OnceLock<PrometheusHandle> = OnceLock::new();
     HANDLE.get_or_init(|| {
         let buckets = [0.001, 0.005, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0];
         let builder = PrometheusBuilder::new();
-        // The list is not empty, which is all that can be wrong with it.
+        // This can fail only for an empty list.
         let recorder = match builder.set_buckets(&buckets) {
             Ok(builder) => builder.build_recorder(),
             Err(_) => PrometheusBuilder::new().build_recorder(),
         };
         let handle = recorder.handle();
         if metrics::set_global_recorder(recorder).is_err() {
-            tracing::warn!("another metrics recorder was there first; /metrics stays empty");
+            tracing::warn!("another metrics recorder is already installed; /metrics stays empty");
         }
         handle
     })

@@ -1,4 +1,4 @@
-//! How many requests of one kind a tenant has in progress, so that no tenant takes every slot.
+//! Concurrency limits per tenant, so that no tenant can use all slots of a group of routes.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -12,21 +12,21 @@ use crate::server::caller::Caller;
 use crate::server::problem::Problem;
 use relume_api::TenantId;
 
-/// The slots of each tenant.
+/// The used slots of each tenant.
 #[derive(Clone)]
 pub(super) struct TenantSlots {
     per_tenant: usize,
     taken: Arc<Mutex<HashMap<TenantId, usize>>>,
 }
 
-/// A place until this is dropped.
+/// A slot, held until this is dropped.
 struct TenantSlot {
     tenant_slots: TenantSlots,
     tenant: TenantId,
 }
 
 impl TenantSlots {
-    /// At most `per_tenant` requests of each tenant.
+    /// Permits at most `per_tenant` concurrent requests of each tenant.
     pub(super) fn new(per_tenant: usize) -> Self {
         Self { per_tenant, taken: Arc::default() }
     }
@@ -59,8 +59,8 @@ impl Drop for TenantSlot {
     }
 }
 
-/// Turns a request away when its tenant has as many in progress as it may. On a server without keys everybody is one tenant, and
-/// the bound of all is the only one.
+/// Refuses a request if its tenant has reached the limit. On a server without keys all callers are one tenant, so only the limit
+/// of all requests applies.
 pub(super) async fn limit_per_tenant(
     State(tenant_slots): State<TenantSlots>,
     request: Request,
@@ -99,6 +99,6 @@ mod tests {
         drop(held);
         assert!(tenant_slots.take(&a).is_some());
         drop(other);
-        assert!(tenant_slots.taken().is_empty(), "nothing is kept of tenants that have none");
+        assert!(tenant_slots.taken().is_empty(), "tenants without requests have no entry");
     }
 }

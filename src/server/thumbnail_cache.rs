@@ -1,7 +1,8 @@
-//! Thumbnails of models and photographs, on disk within a bound: the same picture is not rendered twice, also after a restart.
+//! A size-limited disk cache of thumbnails and photographs, which survives restarts.
 //!
-//! A file is named by its model and by the digest of its `ETag`. It begins with a hash of its name and its picture, so that one
-//! that is damaged, cut off or exchanged is not served. Nothing is synced: what a crash costs is rendered anew.
+//! The name of a file consists of its model and the digest of its `ETag`. The file begins with a hash of its name and its image,
+//! so that damaged, truncated or exchanged files are not served. Files are not synced: images that are lost in a crash are
+//! rendered again.
 
 use std::collections::HashSet;
 use std::fs::File;
@@ -15,13 +16,13 @@ use sha2::{Digest, Sha256};
 
 use crate::store::make_private;
 
-/// The folder, in the data directory.
+/// The folder in the data directory.
 const FOLDER: &str = "cache/thumbnails";
-/// What a name begins with while its file is written.
+/// Prefix of the name of an unfinished file.
 const UNFINISHED: &str = ".unfinished-";
-/// Length of the hash that a file begins with.
+/// Length of the hash at the beginning of a file, bytes.
 const HASH: usize = 32;
-/// Disks store whole blocks: a file counts as a multiple of this.
+/// Block size of disks, bytes. The size of a file is rounded up to a multiple of it.
 const BLOCK: u64 = 4096;
 
 /// The cache of one data directory. Clones share it.
@@ -30,26 +31,26 @@ pub(super) struct ThumbnailCache(Arc<ThumbnailCacheInner>);
 
 struct ThumbnailCacheInner {
     folder: PathBuf,
-    /// Most bytes of all files; 0 for no cache.
+    /// Size limit of all files, bytes; 0 disables the cache.
     most: u64,
     files: Mutex<Files>,
 }
 
-/// What is there, by name.
+/// The files by name.
 struct Files {
-    /// Bytes of each file, the one that was asked for longest ago first.
+    /// Size of each file, bytes, ordered from the least to the most recently used.
     lengths: LruCache<String, u64>,
-    /// Bytes on disk.
+    /// Total size on disk, bytes.
     taken: u64,
 }
 
 impl ThumbnailCache {
-    /// The cache of a data directory, of at most `most` bytes. What an earlier server left stays as far as it fits; with 0 nothing
-    /// does. A folder that cannot be read is logged and counts as empty. Blocks.
+    /// Opens the cache of a data directory with at most `most` bytes. Files of an earlier server are kept within the limit; with
+    /// 0 they are removed. If the folder cannot be read, the error is logged and the cache is empty. Blocks.
     pub(super) fn open(data_dir: &Path, most: u64) -> Self {
         let folder = data_dir.join(FOLDER);
         let found = found(&folder).unwrap_or_else(|error| {
-            tracing::warn!(%error, "cached thumbnails cannot be read");
+            tracing::warn!(%error, "cannot read the cached thumbnails");
             Vec::new()
         });
         let mut files = Files { lengths: LruCache::unbounded(), taken: 0 };
@@ -61,7 +62,7 @@ impl ThumbnailCache {
         Self(Arc::new(ThumbnailCacheInner { folder, most, files: Mutex::new(files) }))
     }
 
-    /// The picture of a model with this tag's digest, and counts whether there is one.
+    /// The image of a model with the digest of this tag. Records a hit or a miss.
     pub(super) async fn get(&self, model: &str, digest: &str) -> Option<Vec<u8>> {
         let name = self.name(model, digest)?;
         let inner = self.0.clone();
@@ -71,7 +72,7 @@ impl ThumbnailCache {
         found
     }
 
-    /// Keeps a picture, in the place of those that were asked for longest ago. One that cannot be written is not kept.
+    /// Stores an image and evicts the least recently used ones. Errors are logged.
     pub(super) async fn put(&self, model: &str, digest: &str, picture: Vec<u8>) {
         let Some(name) = self.name(model, digest) else { return };
         let inner = self.0.clone();
@@ -81,18 +82,18 @@ impl ThumbnailCache {
         }
     }
 
-    /// Removes the pictures of all models but these.
+    /// Removes the images of all models except these.
     pub(super) async fn keep_only(&self, models: HashSet<String>) {
         self.forget(move |model| !models.contains(model)).await;
     }
 
-    /// Removes the pictures of a model.
+    /// Removes the images of a model.
     pub(super) async fn forget_all_of(&self, model: &str) {
         let gone = model.to_owned();
         self.forget(move |model| *model == gone).await;
     }
 
-    /// Whether there is nothing to be removed.
+    /// Whether the cache is empty.
     pub(super) fn is_empty(&self) -> bool {
         self.0.files().lengths.is_empty()
     }
@@ -104,11 +105,11 @@ impl ThumbnailCache {
             remove(&inner.folder, &names);
         };
         if let Err(error) = tokio::task::spawn_blocking(work).await {
-            tracing::warn!(%error, "cached thumbnails were not removed");
+            tracing::warn!(%error, "cannot remove cached thumbnails");
         }
     }
 
-    /// A file's name; `None` where nothing is cached, also for identifiers that this program does not give.
+    /// The name of a file; `None` if the cache is disabled or an identifier does not have the format of this program.
     fn name(&self, model: &str, digest: &str) -> Option<String> {
         (self.0.most > 0 && is_plain(model) && is_plain(digest)).then(|| format!("{model}.{digest}"))
     }
@@ -116,7 +117,7 @@ impl ThumbnailCache {
 
 impl ThumbnailCacheInner {
     fn files(&self) -> std::sync::MutexGuard<'_, Files> {
-        // Each change of it is one that cannot panic halfway.
+        // No change of the map can panic halfway, so a poisoned lock is still valid.
         self.files.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -148,7 +149,7 @@ impl ThumbnailCacheInner {
 }
 
 impl Files {
-    /// Counts a file as the one that was asked for last, and returns the names of those that have to go for it.
+    /// Adds a file as the most recently used, and returns the names of the files to evict.
     fn add(&mut self, name: &str, length: u64, most: u64) -> Vec<String> {
         if let Some(before) = self.lengths.push(name.to_owned(), length) {
             self.taken -= on_disk(before.1);
@@ -164,14 +165,14 @@ impl Files {
         dropped
     }
 
-    /// Counts a file no more; its name if it was counted.
+    /// Removes the entry of a file. Returns its name if it existed.
     fn take_one(&mut self, name: &str) -> Vec<String> {
         let taken = self.lengths.pop_entry(name);
         self.taken -= taken.as_ref().map_or(0, |(_, length)| on_disk(*length));
         taken.map(|(name, _)| name).into_iter().collect()
     }
 
-    /// Counts the files of some models no more, and returns their names.
+    /// Removes the entries of some models, and returns the file names.
     fn take(&mut self, goes: impl Fn(&str) -> bool) -> Vec<String> {
         let of = |name: &str| name.split('.').next().is_some_and(&goes);
         let names: Vec<String> =
@@ -180,8 +181,8 @@ impl Files {
     }
 }
 
-/// The files of a folder, the oldest first: time, name and length. What was not finished is removed; names that this program does
-/// not give are left alone.
+/// The files of a folder, the oldest first: time, name and length. Unfinished files are removed; files with other names are
+/// ignored.
 fn found(folder: &Path) -> std::io::Result<Vec<(SystemTime, String, u64)>> {
     let entries = match std::fs::read_dir(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -202,10 +203,10 @@ fn found(folder: &Path) -> std::io::Result<Vec<(SystemTime, String, u64)>> {
     Ok(found)
 }
 
-/// The picture in a file, if it is what was written under this name. It counts as used now, also for the next start.
+/// The image in a file, if its hash is correct. Records its use, also for the next start.
 fn read_checked(path: &Path, name: &str, length: u64) -> Option<Vec<u8>> {
     let mut file = File::open(path).ok()?;
-    // A file that has grown is not read to its end.
+    // A file that has grown is not read.
     if file.metadata().ok()?.len() != length {
         return None;
     }
@@ -216,7 +217,7 @@ fn read_checked(path: &Path, name: &str, length: u64) -> Option<Vec<u8>> {
         return None;
     }
     if let Err(error) = file.set_modified(SystemTime::now()) {
-        tracing::debug!(%error, name, "when a thumbnail was asked for is not remembered");
+        tracing::debug!(%error, name, "cannot record the use of a thumbnail");
     }
     Some(picture)
 }
@@ -229,7 +230,7 @@ fn on_disk(length: u64) -> u64 {
     length.next_multiple_of(BLOCK)
 }
 
-/// Whether a text leads nowhere else as a part of a file's name.
+/// Whether a text is safe as a part of a file name.
 fn is_plain(text: &str) -> bool {
     !text.is_empty() && text.len() <= 64 && text.bytes().all(|c| c.is_ascii_alphanumeric() || c == b'-')
 }
@@ -238,7 +239,7 @@ fn remove(folder: &Path, names: &[String]) {
     for name in names {
         match std::fs::remove_file(folder.join(name)) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                tracing::warn!(%error, name, "a cached thumbnail cannot be removed");
+                tracing::warn!(%error, name, "cannot remove a cached thumbnail");
             }
             _ => {}
         }
@@ -259,7 +260,7 @@ mod tests {
         names
     }
 
-    /// Dates a file back, as if it had not been asked for since.
+    /// Sets the time of a file back, as if it had not been used since.
     fn age(data: &Path, name: &str, hours: u64) {
         let file = File::open(data.join(FOLDER).join(name)).unwrap();
         file.set_modified(SystemTime::now() - Duration::from_secs(3600 * hours)).unwrap();
@@ -274,10 +275,10 @@ mod tests {
         }
         assert_eq!(cache.get("m", "a").await.unwrap(), [b'a'; 100]);
         cache.put("m", "d", vec![0; 10]).await;
-        assert_eq!(names(data.path()), ["m.a", "m.c", "m.d"], "b was not asked for");
+        assert_eq!(names(data.path()), ["m.a", "m.c", "m.d"], "b was not requested");
         assert!(cache.get("m", "b").await.is_none() && cache.get("n", "a").await.is_none());
         cache.put("m", "big", vec![0; 4 * BLOCK as usize]).await;
-        assert_eq!(names(data.path()).len(), 3, "what never fits takes no other's place");
+        assert_eq!(names(data.path()).len(), 3, "an image that can never fit evicts nothing");
         cache.put("m", "two", vec![0; BLOCK as usize]).await;
         assert_eq!(names(data.path()), ["m.d", "m.two"], "a block and a hash are two blocks");
 
@@ -289,9 +290,9 @@ mod tests {
         assert_eq!(names(data.path()), ["m.d", "m.two", "not ours"]);
         assert!(cache.get("m", "d").await.is_some());
         cache.put("m", "e", vec![1]).await;
-        assert_eq!(names(data.path()), ["m.d", "m.e", "not ours"], "the oldest of the folder went");
+        assert_eq!(names(data.path()), ["m.d", "m.e", "not ours"], "the oldest file was evicted");
         ThumbnailCache::open(data.path(), BLOCK);
-        assert_eq!(names(data.path()), ["m.e", "not ours"], "a smaller bound holds at once");
+        assert_eq!(names(data.path()), ["m.e", "not ours"], "a smaller limit applies immediately");
         let off = ThumbnailCache::open(data.path(), 0);
         off.put("m", "f", vec![1]).await;
         assert_eq!(names(data.path()), ["not ours"]);
@@ -313,7 +314,7 @@ mod tests {
             bytes[at] ^= 1;
             std::fs::write(&path, bytes).unwrap();
             assert_eq!(cache.get("m", "a").await, None, "byte {at}");
-            assert!(!path.exists(), "it is in nobody's way");
+            assert!(!path.exists(), "the damaged file is removed");
         }
         for length in [0, HASH, whole.len() - 1, whole.len() + 1] {
             put().await;
@@ -323,7 +324,7 @@ mod tests {
         put().await;
         cache.put("m", "b", b"a picture".to_vec()).await;
         std::fs::copy(&path, data.path().join(FOLDER).join("m.b")).unwrap();
-        assert_eq!(cache.get("m", "b").await, None, "another's file under its name");
+        assert_eq!(cache.get("m", "b").await, None, "the file of another image under its name");
         assert_eq!(cache.get("m", "a").await.unwrap(), b"a picture", "the control");
     }
 

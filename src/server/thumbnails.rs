@@ -1,4 +1,4 @@
-//! `/v1/models/{id}/thumbnail`: small relit pictures for web pages, cacheable without rendering them again.
+//! `/v1/models/{id}/thumbnail`: small relit images for web pages, which clients can cache.
 
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
@@ -28,7 +28,7 @@ pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(thumbnail))
 }
 
-/// Which picture.
+/// Light, view and format of a thumbnail.
 #[derive(Debug, Default, Clone, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -118,14 +118,14 @@ async fn thumbnail(
     Ok(response)
 }
 
-/// What a thumbnail is kept as.
+/// The identity of a thumbnail in the cache.
 struct ThumbnailRequest<'a> {
     tenant: &'a TenantId,
     digest: &'a str,
     format: FrameFormat,
 }
 
-/// The picture as it is cached, or rendered and cached. Whoever asks may see the model.
+/// The cached image, or a new one that is then cached. The caller has checked the access to the model.
 async fn found_or_rendered(
     app: &AppState,
     task: RenderTask,
@@ -133,16 +133,16 @@ async fn found_or_rendered(
     &ThumbnailRequest { tenant, digest, format }: &ThumbnailRequest<'_>,
 ) -> Result<Response, Problem> {
     let model = task.model.id.clone();
-    // Equal pictures that are asked for together are rendered once.
+    // Concurrent requests for the same image render it once.
     let _key_guard = app.thumbnail_locks.take(digest).await;
     if let Some(bytes) = app.thumbnails.get(model.as_str(), digest).await {
         return Ok(([(header::CONTENT_TYPE, format.media_type())], bytes).into_response());
     }
     let frame = renders::render_frame(app, task, format, encoding).await?;
-    // What is needed for work comes before what spares some.
+    // On a full disk, the cache yields to required writes.
     if !app.store.disk_space().is_short() {
         app.thumbnails.put(model.as_str(), digest, frame.bytes().to_vec()).await;
-        // It may have been deleted meanwhile, and its pictures swept before this one was there.
+        // The model and its cached images may have been deleted before this image was stored.
         if !matches!(app.store.model(tenant, &model).await, Ok(Some(_))) {
             app.thumbnails.forget_all_of(model.as_str()).await;
         }
@@ -191,7 +191,7 @@ fn finish(query: &ThumbnailQuery) -> Result<EncodeOptions, Problem> {
     })
 }
 
-/// A hash of everything the picture depends on, the program's version included.
+/// A hash of everything that determines the image, including the program's version.
 fn identity(
     model: &str,
     light: &LightSource,

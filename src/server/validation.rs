@@ -1,4 +1,4 @@
-//! Makes captures of complete uploads: at once, or after an answer that says where to ask (RFC 7240, `respond-async`).
+//! Makes captures of complete uploads, synchronously or after a 202 answer (RFC 7240, `respond-async`).
 
 use std::time::Duration;
 
@@ -24,19 +24,19 @@ use relume_spec::CaptureReport;
 
 const APPLIED: HeaderName = HeaderName::from_static("preference-applied");
 const ASYNC: &str = "respond-async";
-/// Until what was promised is tried again, while the object store of artifacts is away.
+/// Delay between retries while the object store cannot be reached.
 const RETRY_INTERVAL: Duration = Duration::from_secs(2);
-/// Requests that bring the same content find each other.
+/// Serialises requests, so that those with the same content detect each other.
 static ENQUEUE_LOCK: Mutex<()> = Mutex::const_new(());
 
-/// Whether the caller would rather ask again than wait.
+/// Whether the caller prefers an asynchronous answer.
 pub(super) fn prefers_async(headers: &HeaderMap) -> bool {
     let values = headers.get_all("prefer").iter().filter_map(|value| value.to_str().ok());
     let mut preferences = values.flat_map(|value| value.split(','));
     preferences.any(|p| p.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(ASYNC))
 }
 
-/// Decodes everything to see whether it can be decoded.
+/// Decodes the whole capture to check that it is valid.
 pub(super) async fn validate(app: &AppState, incoming: &StagedUpload) -> Result<CaptureReport, Problem> {
     let path = incoming.path.clone();
     let options = ImportOptions { limits: app.import_limits, ..ImportOptions::default() };
@@ -67,7 +67,7 @@ async fn make_with_poses(
     make_record(app, tenant, id, posed, ResourceMetadata::default(), Some(made_of)).await
 }
 
-/// Makes the capture `id` of a tenant, called so, or finds the one of the same content that was there first.
+/// Makes the capture `id` of a tenant with these metadata, or returns the tenant's existing capture of the same content.
 pub(super) async fn make(
     app: &AppState,
     tenant: &TenantId,
@@ -100,25 +100,25 @@ async fn make_record(
     app.store.publish_capture(incoming, tenant, &record).await.map_err(metadata::refused)
 }
 
-/// How a capture is made after the answer.
+/// Options of an asynchronous creation.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct AsyncOptions {
-    /// Whether the caller had rather ask again than wait.
+    /// Whether the caller prefers an asynchronous answer.
     pub(super) was_preferred: bool,
-    /// Whether these are photographs whose poses are found first.
+    /// Whether the photographs have no poses, so that these are found first.
     pub(super) finds_poses: bool,
 }
 
-/// What became of a request for a capture that is made after the answer.
+/// The result of a request for an asynchronous creation.
 pub(super) enum AsyncOutcome {
-    /// A capture is being made, and this says where to ask for it.
+    /// A capture is being made; this is the answer with its URL.
     Answered(Response),
-    /// The same content became a capture while this came in: nothing is made of it.
+    /// The same content has become a capture in the meantime; nothing is made of the upload.
     Made(Box<StagedUpload>),
 }
 
-/// Answers where to ask for the capture that is being made from now on; for the one that is being made of the same content
-/// already, if there is one.
+/// Starts the creation of a capture and answers with its URL. If a capture of the same content is already being made, the answer
+/// has that URL.
 pub(super) async fn begin(
     app: &AppState,
     caller: &Caller,
@@ -127,7 +127,7 @@ pub(super) async fn begin(
     how: AsyncOptions,
 ) -> Result<AsyncOutcome, Problem> {
     let (app, tenant) = (app.clone(), caller.tenant.clone());
-    // On a task of its own: what was written down is worked on, also when the caller has gone meanwhile.
+    // A separate task, so that a recorded capture is made even if the caller disconnects.
     let entering = app.clone();
     let entered =
         tokio::spawn(async move { enqueue(&entering, tenant, incoming, metadata, how.finds_poses).await });
@@ -142,7 +142,7 @@ enum Enqueued {
     Made(Box<StagedUpload>),
 }
 
-/// Writes down that a capture is to be made and starts to make it.
+/// Records that a capture is to be made, and starts its creation.
 async fn enqueue(
     app: &AppState,
     tenant: TenantId,
@@ -151,7 +151,7 @@ async fn enqueue(
     finds_poses: bool,
 ) -> Result<Enqueued, Problem> {
     let _one_by_one = ENQUEUE_LOCK.lock().await;
-    // In this order: what is being made becomes a capture, never the other way.
+    // The query order matters: an upload can become a capture but not the reverse.
     if let Some(mut same) = app.store.validating(&tenant, &incoming.sha256).await? {
         let id = same.capture_id.clone().unwrap_or_default().to_string();
         let what = ResourceName::new(ResourceKind::Capture, id);
@@ -184,13 +184,13 @@ async fn enqueue(
     }
     let missing = || Problem::internal("a stored upload is missing");
     let upload = app.store.upload_of_capture(&tenant, &capture).await?.ok_or_else(missing)?;
-    // Before the answer: whoever has it may end the search.
+    // The job is queued before the answer, so that the client can cancel it.
     let pose_job = finds_poses.then(|| app.poses.enqueue(&capture));
     start(app, tenant, capture, incoming, pose_job);
     Ok(Enqueued::Making(Box::new(upload)))
 }
 
-/// Goes on with what a server that ended was making.
+/// Continues the creations of a terminated server.
 pub(super) async fn resume(app: AppState) -> Result<(), StoreError> {
     for upload in app.store.pending_validations().await? {
         let (Some(capture), Some(lock)) = (upload.capture_id.clone(), app.store.lock_upload(&upload.id))
@@ -204,7 +204,7 @@ pub(super) async fn resume(app: AppState) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// Makes a capture while others are served; a shutdown leaves it to the next server.
+/// Makes a capture in the background. A shutdown leaves it to the next server.
 fn start(
     app: &AppState,
     tenant: TenantId,
@@ -233,13 +233,13 @@ async fn finish(
         tokio::time::sleep(RETRY_INTERVAL).await;
         made = match reopen_upload(app, tenant, &capture).await {
             Ok(Some(incoming)) => try_finish(app, tenant, &capture, incoming, None).await,
-            // Somebody gave it up.
+            // The upload was deleted.
             Ok(None) => return,
             Err(error) => Err(error.into()),
         };
     }
     if app.stop.is_cancelled() {
-        // The next server goes on.
+        // The next server continues.
         return;
     }
     poses::clean_up(&app.store, &capture, made.is_err()).await;
@@ -247,17 +247,17 @@ async fn finish(
         tracing::info!(%capture, kind = problem.kind, "no capture could be made of an upload");
         let until = uploads::expiry(app);
         if let Err(error) = app.store.end_validation(&capture, &problem, until).await {
-            tracing::error!(%error, %capture, "the next start validates an upload again");
+            tracing::error!(%error, %capture, "cannot record the end of a validation; the next start validates the upload again");
         }
     }
 }
 
-/// Whether it says nothing of the upload: what was promised is made once the object store is there.
+/// Whether a problem is an outage of the object store, so that the creation must be retried.
 fn is_outage(problem: &Problem) -> bool {
     problem.kind.strip_prefix(TYPE_PREFIX) == Some("artifacts-unreachable")
 }
 
-/// The bytes again that a capture is being made of; `None` when there is no such upload any more.
+/// The bytes of the upload of a capture that is being made, again; `None` if the upload no longer exists.
 async fn reopen_upload(
     app: &AppState,
     tenant: &TenantId,
@@ -276,11 +276,11 @@ async fn try_finish(
     incoming: StagedUpload,
     mut pose_job: Option<PoseJob>,
 ) -> Result<(), Problem> {
-    // Another request made it meanwhile.
+    // Another request made the capture in the meantime.
     if let Some(same) = capture_of(app, tenant, &incoming).await? {
         return Err(duplicate_capture(&same));
     }
-    // What it is called by then is written down with its upload.
+    // The current metadata are recorded with the upload.
     if pose_job.is_none() && poses::needs_poses(app, &incoming).await? {
         pose_job = Some(app.poses.enqueue(capture));
     }
@@ -291,7 +291,7 @@ async fn try_finish(
     if made.id == *capture { Ok(()) } else { Err(duplicate_capture(&made)) }
 }
 
-/// The capture of a tenant that has this content, or was made of it.
+/// The capture of a tenant with this content or made of it.
 async fn capture_of(
     app: &AppState,
     tenant: &TenantId,
@@ -307,7 +307,7 @@ fn duplicate_capture(same: &CaptureRecord) -> Problem {
     Problem::conflict("stored-before", format!("the capture {:?} has the same content", same.id.as_str()))
 }
 
-/// Why there is no capture `id` to work on: a job names it.
+/// The problem of a job whose capture `id` is not ready.
 pub(super) async fn unavailable_reason(
     app: &AppState,
     caller: &Caller,
@@ -336,7 +336,7 @@ fn accepted(view: CaptureSummary, was_preferred: bool) -> Response {
     response
 }
 
-/// A capture that is being made, or could not be.
+/// The view of a capture that is being made or is invalid.
 pub(super) fn view(app: &AppState, upload: &UploadRecord) -> CaptureSummary {
     CaptureSummary {
         id: upload.capture_id.clone().unwrap_or_default(),
@@ -353,7 +353,7 @@ pub(super) fn view(app: &AppState, upload: &UploadRecord) -> CaptureSummary {
     }
 }
 
-/// What is wrong with the upload kept at `path`, which the caller knows as the archive.
+/// The problem of the upload at `path`, with the name that the client knows instead of the path.
 fn refused(error: &CaptureError, path: &std::path::Path) -> Problem {
     if !error.is_users_fault() {
         return Problem::storage_failed(error);

@@ -1,4 +1,4 @@
-//! `/v1/models/{id}/stream` and `/light`: what a viewer in a browser draws a model with (docs/viewer-stream.md).
+//! `/v1/models/{id}/stream` and `/light`: the data of the browser viewer (docs/viewer-stream.md).
 
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
@@ -117,19 +117,19 @@ async fn light(
     }
     let found = app.store.model(&caller.tenant, &id).await?;
     let gaussians = found.ok_or_else(|| Problem::not_found("model", id.as_str()))?.gaussians;
-    // Held from before the queue until the bytes are on their way.
+    // Held from the queue until the bytes are sent.
     let _permit = app.memory.reserve(memory::light_bytes(gaussians)).await?;
     let served = app.device.light(LightTask { model, light, rotation_deg, with_map }).await?;
     described(served.answer.into_response(), &tag, &caller, AN_HOUR)
 }
 
-/// A hash of everything that a stream depends on.
+/// A hash of everything that determines a stream.
 fn identity(model: &str, light: &str) -> String {
     let (program, format) = (env!("CARGO_PKG_VERSION"), viewer_stream::VERSION);
     hex(&Sha256::digest(format!("{program}|{format}|{model}|{light}").as_bytes()))
 }
 
-/// The answer to who has the bytes already, or asks for the head alone.
+/// The answer to a client that already has the content, or that requests only the head.
 fn answer_without_bytes(method: &Method, headers: &HeaderMap, tag: &str) -> Option<Response> {
     match matches_etag(headers, tag) {
         true => Some(StatusCode::NOT_MODIFIED.into_response()),
@@ -147,7 +147,7 @@ fn described(mut response: Response, tag: &str, caller: &Caller, age: &str) -> R
     Ok(response)
 }
 
-/// Reads a model and encodes it, off the threads that answer requests.
+/// Reads a model and encodes it on a blocking thread.
 async fn encoded(app: &AppState, file: &ModelFile) -> Result<Vec<u8>, Problem> {
     let size = u64::try_from(file.bytes).map_err(Problem::internal)?;
     let _permit = app.memory.reserve(memory::stream_bytes(size)).await?;

@@ -1,4 +1,4 @@
-//! The web app: pages that are part of the program. They are built from `web/`; the API serves them like any other client.
+//! The web app, which is embedded in the program. It is built from `web/` and uses the API like any other client.
 
 use std::borrow::Cow;
 use std::io::Write;
@@ -17,29 +17,29 @@ use crate::server::files::{etag, matches_etag};
 use crate::server::problem::Problem;
 use crate::store::hex;
 
-/// What `npm run build` in `web/` made.
+/// The output of `npm run build` in `web/`.
 #[derive(RustEmbed)]
 #[folder = "web/dist"]
 struct EmbeddedAssets;
 
-/// Routes of pages. Everybody may load them: what they show comes from the API, which asks for a key.
+/// Routes of the web app. They need no key; the data come from the API, which requires one.
 pub(super) const ROUTES: [&str; 4] = ["/", "/favicon.svg", "/relume-viewer.js", "/assets/{name}"];
 
-/// What a page may load and do: its own files and the API it came with, and pictures that it made itself.
+/// The content security policy of pages: their own files, the API of this server, and images that they create.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
                       connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// A file of the web app, ready to be sent.
 struct WebAsset {
-    /// Its path below the root.
+    /// Path relative to the root.
     path: Cow<'static, str>,
     bytes: Cow<'static, [u8]>,
-    /// The same with gzip, where that is smaller.
+    /// The gzipped content, if it is smaller.
     gzip: Option<Vec<u8>>,
     sha256: String,
 }
 
-/// Every file; compressed when the first is asked for.
+/// All files, which are compressed at the first request.
 static WEB_ASSETS: LazyLock<Vec<WebAsset>> =
     LazyLock::new(|| EmbeddedAssets::iter().filter_map(WebAsset::read).collect());
 
@@ -65,7 +65,7 @@ impl WebAsset {
         }
     }
 
-    /// What is named by its content never changes; the rest is asked for again each time, and answered with 304.
+    /// Files named by their hash never change. Other files are revalidated for each use, with 304 if they are unchanged.
     fn cache_control(&self) -> &'static str {
         match self.path.starts_with("assets/") {
             true => "public, max-age=31536000, immutable",
@@ -75,7 +75,7 @@ impl WebAsset {
 
     fn respond(&'static self, headers: &HeaderMap) -> Response {
         let gzip = self.gzip.as_ref().filter(|_| accepts_gzip(headers));
-        // Each encoding is a representation of its own.
+        // Each encoding is a separate representation with its own tag.
         let tag = etag(&match gzip {
             Some(_) => format!("{}-gzip", self.sha256),
             None => self.sha256.clone(),
@@ -104,7 +104,7 @@ impl WebAsset {
     }
 }
 
-/// The pages and what they load.
+/// The pages and their files.
 pub(super) fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
     let [index, icon, viewer, assets] = ROUTES;
     Router::new()
@@ -130,7 +130,7 @@ fn gzip(bytes: &[u8]) -> Option<Vec<u8>> {
     encoder.finish().ok()
 }
 
-/// Whether `Accept-Encoding` names gzip, and not with a weight of 0.
+/// Whether `Accept-Encoding` contains gzip with a weight above 0.
 fn accepts_gzip(headers: &HeaderMap) -> bool {
     let values = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
     values.flat_map(|value| value.split(',')).any(|entry| {

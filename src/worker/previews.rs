@@ -113,7 +113,7 @@ mod tests {
         let previews = Arc::new(Previews::default());
         let (job, other) = (JobId::from("job"), JobId::from("other"));
         let shown = previews.of(&job);
-        assert!(!shown.is_due(), "nobody asked");
+        assert!(!shown.is_due(), "no preview was requested");
         assert!(previews.latest(&other).is_none() && !shown.is_due(), "only another job was requested");
         assert!(previews.latest(&job).is_none() && shown.is_due());
         shown.show(preview(7));

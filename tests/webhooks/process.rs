@@ -71,7 +71,10 @@ async fn messages_survive_kill_9_and_logs_contain_no_secret() {
     drop(server);
 
     let log = std::fs::read_to_string(&log).unwrap();
-    assert!(log.contains("tried a webhook") && log.contains(first.header("webhook-id")), "the control");
+    assert!(
+        log.contains("attempted a webhook delivery") && log.contains(first.header("webhook-id")),
+        "the control"
+    );
     for secret in [&made.secret[6..], "to=me", first.header("webhook-signature")] {
         assert!(!log.contains(secret), "{secret} is in the log");
     }

@@ -1,5 +1,5 @@
 //! WGSL constants and layouts from the Rust definitions of `relume-layout`, for `#import generated/NAME`. The build script
-//! also writes all pieces to the file `generated.wgsl` in its output folder, for reading.
+//! also writes all pieces to one WGSL file in its output folder, for reading.
 
 use std::fmt::Write as _;
 use std::ops::Range;

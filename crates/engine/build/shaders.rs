@@ -10,7 +10,7 @@ use crate::{generated, viewer};
 
 pub type Failure = Box<dyn std::error::Error>;
 
-/// Writes the validated text of every permutation to the file `shaders` (`.rs`) in the output folder.
+/// Writes the validated text of every permutation to a Rust file in the output folder.
 pub fn compile_all() -> Result<(), Failure> {
     let folder = Path::new(&std::env::var("CARGO_MANIFEST_DIR")?).join("../../shaders");
     println!("cargo::rerun-if-changed={}", folder.display());

@@ -1,4 +1,4 @@
-//! Dense row-major f64 arrays: a shape and its values, nothing clever.
+//! Dense row-major f64 arrays.
 
 /// A dense array of f64, row-major.
 #[derive(Debug, Clone, PartialEq)]
@@ -11,7 +11,7 @@ impl Array {
     /// An array of `shape` holding `data` in row-major order.
     ///
     /// # Panics
-    /// When the number of values does not fit the shape.
+    /// When the number of values does not match the shape.
     pub fn new(shape: &[usize], data: Vec<f64>) -> Self {
         assert_eq!(shape.iter().product::<usize>(), data.len(), "values do not fit shape {shape:?}");
         Self { shape: shape.to_vec(), data }
@@ -42,7 +42,7 @@ impl Array {
         &self.data
     }
 
-    /// The values in row-major order, to be written.
+    /// The values in row-major order, mutable.
     pub fn data_mut(&mut self) -> &mut [f64] {
         &mut self.data
     }
@@ -57,7 +57,7 @@ impl Array {
         self.data.is_empty()
     }
 
-    /// Row `i` of the array seen as a matrix whose columns are the last axis.
+    /// Row `i` of the array, viewed as a matrix whose columns are the last axis.
     pub fn row(&self, i: usize) -> &[f64] {
         let width = self.shape.last().copied().unwrap_or(1);
         &self.data[i * width..(i + 1) * width]
@@ -135,7 +135,7 @@ impl Array {
         Self { shape, data }
     }
 
-    /// Sums over whatever axes broadcasting had repeated to get from `shape` to here.
+    /// Sums over the axes along which broadcasting repeated an array of `shape`.
     pub(super) fn reduced_to(&self, shape: &[usize]) -> Self {
         if self.shape == shape {
             return self.clone();
@@ -168,7 +168,7 @@ pub(super) fn broadcast_shape(a: &[usize], b: &[usize]) -> Vec<usize> {
         .collect()
 }
 
-/// For every element of `out`, the element of an array of `shape` that broadcasting puts there.
+/// For every element of shape `out`, the index of the element of an array of `shape` that broadcasting maps to it.
 pub(super) fn broadcast_indices(shape: &[usize], out: &[usize]) -> Vec<usize> {
     let mut indices = vec![0];
     let mut stride: usize = shape.iter().product();

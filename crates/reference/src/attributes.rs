@@ -1,4 +1,4 @@
-//! What each Gaussian carries into the G-buffer: activations of raw parameters (docs/MODEL.md section 1).
+//! Attributes of each Gaussian in the G-buffer: activations of raw parameters (docs/MODEL.md, section 1).
 
 use super::array::Array;
 use super::model::Parameters;
@@ -21,8 +21,8 @@ pub fn normals<'t>(tape: &'t Tape, p: &Parameters<'t>, camera: &Camera, form: No
     }
 }
 
-/// The axis of smallest scale, turned against `outward`, (N, 3). Which axis and side is no matter of degree,
-/// so the choice is constant.
+/// The axis of smallest scale, turned against `outward`, (N, 3). The choice of axis and side is discrete, so it has no
+/// gradient.
 fn shortest_axes<'t>(p: &Parameters<'t>, outward: Var<'t>) -> Var<'t> {
     let smallest = p.get(Field::LogScale).value().smallest_columns();
     let columns: Vec<usize> = smallest.iter().enumerate().map(|(i, column)| 3 * i + column).collect();

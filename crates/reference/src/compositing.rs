@@ -5,7 +5,7 @@ use super::projection::{Splats, pixel_centres};
 use super::tape::{Tape, Var};
 use relume_scene::Camera;
 
-/// How a Gaussian's footprint becomes an alpha.
+/// Limits of a Gaussian's alpha.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AlphaLimits {
     /// Largest alpha of one layer.
@@ -48,7 +48,7 @@ pub fn composite<'t>(
     let drawn = alpha.value().map(|a| f64::from(u8::from(a > limits.cutoff)));
     let alpha = alpha * tape.input(drawn);
 
-    // Eq. 4 and 14: what survives the layers in front, and the layers behind.
+    // Eq. 4 and 14: transmittance of the layers in front, and of the layers behind.
     let forward = (1.0 - alpha).exclusive_product(ScanDirection::Forward);
     let backward = (1.0 - alpha).exclusive_product(ScanDirection::Backward);
     let weights = forward * alpha;

@@ -1,11 +1,11 @@
-//! The device on which tests compare the GPU engine.
+//! The GPU device of tests.
 
 use std::sync::LazyLock;
 
 use relume_engine::Device;
 use relume_engine::gpu::{Adapters, Gpu, GpuOptions};
 
-/// The first usable adapter, software or not, with garbage in fresh buffers. Shared by all tests.
+/// The first usable adapter, hardware or software, with garbage in new buffers. All tests share it.
 ///
 /// # Panics
 /// Without a usable adapter.

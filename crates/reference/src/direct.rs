@@ -1,4 +1,4 @@
-//! Strong small lights on surfaces (docs/MODEL.md section 4).
+//! Dominant lights on surfaces (docs/MODEL.md, section 4).
 
 use std::f64::consts::PI;
 
@@ -6,7 +6,7 @@ use super::array::Array;
 use super::lighting::DirectLight;
 use super::tape::{Tape, Var};
 
-/// What one light adds to P surfaces.
+/// Light of one dominant light at P surfaces.
 pub struct Direct<'t> {
     /// Irradiance, (P, 3).
     pub irradiance: Var<'t>,
@@ -14,8 +14,8 @@ pub struct Direct<'t> {
     pub specular: Var<'t>,
 }
 
-/// What `light` adds through `arriving`, (P, 1), to surfaces of unit normals turned to the camera, of directions to it, of
-/// roughnesses and of reflectances head-on.
+/// Light that `light`, weighted by its share `arriving` (P, 1), adds at surfaces with the given unit normals turned to the
+/// camera, directions to the camera, roughnesses and reflectances at normal incidence.
 pub fn direct<'t>(
     tape: &'t Tape,
     light: &DirectLight<'t>,

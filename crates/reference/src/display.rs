@@ -1,12 +1,12 @@
-//! From scene-referred radiance to the image that is compared with a photograph.
+//! Conversion of scene-referred radiance to display values, which are compared with a photograph.
 
 use super::array::Array;
 use super::tape::Var;
 
-/// Radiance clamped to [0, 1] and put through the sRGB curve if `srgb`.
+/// Radiance clamped to [0, 1] and, if `srgb`, encoded by the sRGB curve.
 ///
-/// Below 0 no gradient passes. Above 1 a gradient passes, with the derivative at 1, only where following it would
-/// lower the radiance: over-bright pixels can recover.
+/// Below 0 no gradient passes. Above 1 a gradient passes, with the derivative at 1, only where a step along it lowers the
+/// radiance, so that over-bright pixels can recover.
 pub fn display(radiance: Var<'_>, srgb: bool) -> Var<'_> {
     let x = radiance.value();
     let curve = |x: f64| if srgb { srgb_curve(x) } else { x };

@@ -15,7 +15,7 @@ use relume_scene::{
     Camera, DiffuseForm, Field, IndirectForm, MAX_LIGHTS, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
 };
 
-/// Which set of small choices is followed where the article's listing and docs/MODEL.md differ.
+/// Convention where the article's listing and docs/MODEL.md differ in details.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Conventions {
     /// The listing: Jacobian taken anywhere, every pixel shaded, plain clamp, 7-tap SSIM.
@@ -32,7 +32,7 @@ impl Conventions {
         }
     }
 
-    /// 1 where a pixel of some coverage is shaded, else 0.
+    /// 1 where a pixel with this coverage is shaded, else 0.
     pub(super) fn shaded(self, coverage: &Array) -> Array {
         let least = match self {
             Self::Listing => 0.0,
@@ -50,16 +50,16 @@ impl Conventions {
     }
 }
 
-/// Where light is looked up.
+/// Source of light.
 #[derive(Debug, Clone)]
 pub enum Light {
     /// The listing's quadrature over the texels.
     Quadrature(Quadrature),
-    /// Our tables.
+    /// The tables of docs/MODEL.md.
     Tables(TableOperators),
 }
 
-/// What other Gaussians send to each Gaussian: measured, constant to the optimiser.
+/// Light from other Gaussians at each Gaussian: measured, constant to the optimiser.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Gathered {
     /// Irradiance `E`, (N, 3).
@@ -68,31 +68,32 @@ pub struct Gathered {
     pub radiance: Array,
 }
 
-/// Choices of the forward model.
+/// Options of the forward model.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// The switches a model carries.
+    /// The options that a model stores.
     pub shading: ShadingOptions,
-    /// The small print.
+    /// Convention for details.
     pub conventions: Conventions,
-    /// Screen-space low-pass, px^2: as in `shading`, whose f32 is not the listing's 0.3 to nine digits.
+    /// Screen-space low-pass, px^2. As in `shading`, but in f64: the f32 there differs from the listing's 0.3 within nine
+    /// digits.
     pub low_pass: f64,
-    /// From footprint to alpha.
+    /// Limits of alpha.
     pub alpha: AlphaLimits,
-    /// Colour behind everything, in the space images are compared in.
+    /// Background colour, in the space in which images are compared.
     pub background: [f64; 3],
-    /// Tables of the light.
+    /// Source of light.
     pub light: Light,
-    /// Radiance (M, 3) to light the scene with instead of its own environment.
+    /// Radiance (M, 3) that replaces the scene's own environment.
     pub environment: Option<Array>,
-    /// Gathered light for [`IndirectForm::Gathered`]; none is black.
+    /// Gathered light for [`IndirectForm::Gathered`]; `None` is black.
     pub gathered: Option<Gathered>,
-    /// Share of each light beside the tables that arrives at each Gaussian, (N, K); none is all of it.
+    /// Arriving share of each dominant light at each Gaussian, (N, K); `None` is 1.
     pub arriving: Option<Array>,
 }
 
 impl Options {
-    /// docs/MODEL.md on white, under the scene's own environment, without gathered light.
+    /// Options of docs/MODEL.md over white, under the scene's own environment, without gathered light.
     pub fn model(shading: ShadingOptions, tables: TableOperators) -> Self {
         Self {
             shading,
@@ -107,7 +108,7 @@ impl Options {
         }
     }
 
-    /// The article's listing, on white.
+    /// Options of the article's listing, over white.
     pub fn listing(quadrature: Quadrature) -> Self {
         let shading = ShadingOptions {
             visibility: VisibilityForm::Sigmoid,
@@ -133,11 +134,11 @@ impl Options {
     }
 }
 
-/// Every stage of one rendered view of N Gaussians on P pixels.
+/// All intermediate values of one rendered view of N Gaussians on P pixels.
 pub struct Stages<'t> {
     /// The scene's parameters.
     pub parameters: Parameters<'t>,
-    /// What each Gaussian carries.
+    /// Attributes of each Gaussian.
     pub attributes: Attributes<'t>,
     /// The projected Gaussians.
     pub splats: Splats<'t>,
@@ -153,10 +154,10 @@ pub struct Stages<'t> {
     pub radiance_image: Var<'t>,
 }
 
-/// Pixels covered less than this are not shaded (docs/MODEL.md section 4).
+/// Smallest coverage at which a pixel is shaded (docs/MODEL.md, section 4).
 const MIN_SHADED_COVERAGE: f64 = 1e-3;
 
-/// Renders a scene, keeping every stage on the tape.
+/// Renders a scene and keeps all intermediate values on the tape.
 pub fn forward<'t>(tape: &'t Tape, scene: &ReferenceModel, camera: &Camera, options: &Options) -> Stages<'t> {
     let parameters = Parameters::new(tape, scene);
     let p = &parameters;

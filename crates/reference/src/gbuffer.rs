@@ -1,4 +1,4 @@
-//! The G-buffer: per-Gaussian attributes blended into screen space (docs/MODEL.md section 3).
+//! The G-buffer: per-Gaussian attributes blended into screen space (docs/MODEL.md, section 3).
 
 use super::compositing::Weights;
 use super::model::Parameters;
@@ -9,23 +9,23 @@ use relume_scene::Field;
 /// Light of N Gaussians or P pixels.
 #[derive(Clone, Copy)]
 pub enum BlendedLight<'t> {
-    /// Of Gaussians that are shaded before they are blended.
+    /// Light of Gaussians that are shaded before blending.
     Outgoing {
-        /// Radiance that leaves for the camera, (N, 3).
+        /// Radiance towards the camera, (N, 3).
         total: Var<'t>,
         /// Its specular part, (N, 3).
         specular: Var<'t>,
     },
-    /// Of attributes that are shaded in the pixel.
+    /// Light of attributes that are shaded in the pixel.
     Incident {
         /// Irradiance gathered from other Gaussians, (N, 3).
         gathered: Var<'t>,
-        /// Radiance from where the environment is blocked, (N, 3).
+        /// Radiance from directions in which the environment is blocked, (N, 3).
         blocked: Var<'t>,
     },
 }
 
-/// Attributes of N Gaussians that depend on more than their material.
+/// Attributes of N Gaussians, except their material parameters.
 pub struct Attributes<'t> {
     /// Unit normal, (N, 3).
     pub normal: Var<'t>,
@@ -37,7 +37,7 @@ pub struct Attributes<'t> {
     pub light: BlendedLight<'t>,
 }
 
-/// Attributes of P pixels, divided by coverage where not said otherwise.
+/// Attributes of P pixels, divided by coverage unless stated otherwise.
 pub struct GBuffer<'t> {
     /// Coverage itself, (P, 1).
     pub coverage: Var<'t>,
@@ -61,7 +61,7 @@ pub struct GBuffer<'t> {
     pub visibility: Var<'t>,
 }
 
-/// Smallest coverage attributes are divided by.
+/// Smallest coverage by which attributes are divided.
 const MIN_COVERAGE: f64 = 1e-6;
 
 /// Blends the attributes of the splats' Gaussians.

@@ -1,10 +1,10 @@
-//! The depth-normal term: shading normals should agree with the surface that the splats' planes describe.
+//! The depth-normal term, which aligns shading normals with the surface of the splats' planes.
 
 use super::array::Array;
 use super::ops::concat;
 use super::tape::Var;
 
-/// What the term looks at, each (H, W, C).
+/// Inputs of the term, each (H, W, C).
 pub struct DepthNormalInput<'t> {
     /// Coverage (1).
     pub coverage: Var<'t>,
@@ -16,20 +16,20 @@ pub struct DepthNormalInput<'t> {
     pub rays: Var<'t>,
 }
 
-/// Coverage below which a pixel's depth is not trusted.
+/// Smallest coverage at which a pixel's depth is used.
 const TRUSTED_COVERAGE: f64 = 0.5;
-/// Planes must face the ray by this much for their intersection to be trusted.
+/// Smallest cosine between plane and ray at which their intersection is used.
 const MIN_FACING: f64 = 0.05;
-/// Depths beyond this are not trusted, world units.
+/// Largest depth that is used, world units.
 const MAX_DEPTH: f64 = 1e4;
-/// Neighbouring depths further apart than this fraction are an edge, not a surface.
+/// Largest relative difference of neighbouring depths on one surface; a larger one is an edge.
 const MAX_DEPTH_STEP: f64 = 0.05;
 
-/// `coverage (1 - n . n_d)` summed over the pixels whose own, right and lower depths form a surface, divided by
-/// all pixels (docs/MODEL.md section 5).
+/// `coverage (1 - n . n_d)`, summed over the pixels whose own, right and lower depths form a surface, divided by the number of
+/// all pixels (docs/MODEL.md, section 5).
 ///
 /// Depths are `t = D / (N . ray)`; `n_d` is the normal of the triangle of the three points `t ray`, towards
-/// the camera. Which pixels count is decided on values, and is no function of the parameters.
+/// the camera. The choice of counted pixels has no gradient.
 pub fn depth_normal<'t>(surface: &DepthNormalInput<'t>) -> Var<'t> {
     let tape = surface.coverage.tape;
     let [height, width] = [0, 1].map(|axis| surface.coverage.value().shape()[axis]);
@@ -38,7 +38,7 @@ pub fn depth_normal<'t>(surface: &DepthNormalInput<'t>) -> Var<'t> {
     }
     let facing = surface.normal.dot(surface.rays);
     let trusted = trusted(&surface.coverage.value(), &facing.value(), &surface.plane.value());
-    // Elsewhere the quotient only has to be finite.
+    // For other pixels the quotient must only be finite.
     let elsewhere = tape.input(trusted.map(|t| 1.0 - t));
     let depth = surface.plane / (facing * tape.input(trusted.clone()) + elsewhere);
     let counted = tape.input(surfaces(&depth.value(), &trusted));

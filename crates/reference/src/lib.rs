@@ -1,8 +1,8 @@
-//! The reference engine: f64, dense, straight from the equations (docs/MODEL.md), not tuned for speed.
+//! The reference engine for tests: the equations of docs/MODEL.md in f64, dense, without optimisation for speed.
 //!
-//! Everything is recorded on a [`Tape`], so any gradient of any intermediate value is at hand: [`forward()`] for
-//! the pieces, [`objective()`] for the loss terms, [`Tape::gradients`] for the rest. [`render`] and
-//! [`loss_and_gradients`] are the short ways.
+//! All operations are recorded on a [`Tape`], which gives the gradient of every intermediate value. [`forward()`] returns the
+//! intermediate values, [`objective()`] the loss terms, [`Tape::gradients`] the gradients. [`render`] and
+//! [`loss_and_gradients`] are shortcuts. [`parity`] runs one case on the reference, the CPU engine and the GPU engine.
 
 mod array;
 mod attributes;

@@ -1,15 +1,16 @@
-//! What shading asks of an environment. Two answers exist: the listing's quadrature and our tables.
+//! Interface between shading and an environment, with two implementations: the listing's quadrature and the tables of
+//! docs/MODEL.md.
 
 use super::tape::Var;
 
-/// A light far away and small.
+/// A distant small light.
 #[derive(Clone, Copy)]
 pub struct DirectLight<'t> {
     /// Unit direction towards it.
     pub direction: [f64; 3],
     /// Angular radius, radians.
     pub radius: f64,
-    /// What it sends through a surface turned to it, (1, 3).
+    /// Irradiance of a surface that faces it, (1, 3).
     pub irradiance: Var<'t>,
 }
 
@@ -27,7 +28,7 @@ pub trait Lighting<'t> {
     /// Split-sum scale and offset of F0 at n.v and roughness, each (P, 1): (P, 2).
     fn brdf(&self, n_dot_v: Var<'t>, roughness: Var<'t>) -> Var<'t>;
 
-    /// Lights that none of these contain.
+    /// Dominant lights, which the other methods do not contain.
     fn lights(&self) -> Vec<DirectLight<'t>> {
         Vec::new()
     }

@@ -51,8 +51,8 @@ pub fn light_neutrality(environment: Var<'_>) -> Var<'_> {
     (environment - environment.mean_last()).abs().mean()
 }
 
-/// `ln(Y / (pi Y'))^2` of the luminance Y of the irradiance that `environment` (texels, 3) gives a surface facing up, and Y'
-/// what a well-exposed photograph shows of a white one. `texels` are directions and solid angles.
+/// `ln(Y / (pi Y'))^2`: Y is the luminance of the irradiance of a surface facing up under `environment` (texels, 3), Y' the
+/// luminance of a white one in a well-exposed photograph. `texels` are directions and solid angles.
 pub fn exposure<'t>(environment: Var<'t>, texels: &[(DVec3, f64)]) -> Var<'t> {
     let shares = texels.iter().map(|(d, w)| d.z.max(0.0) * w / PI).collect();
     let shares = environment.tape.input(Array::new(&[texels.len(), 1], shares));
@@ -61,8 +61,8 @@ pub fn exposure<'t>(environment: Var<'t>, texels: &[(DVec3, f64)]) -> Var<'t> {
     log * log
 }
 
-/// `(b - b')^2 + (g - g')^2` of the logarithms `b = ln(Y_blue / Y_red)` and `g = ln(Y_green^2 / (Y_red Y_blue))` of the same
-/// surface's irradiance Y against those `wanted`.
+/// `(b - b')^2 + (g - g')^2` with `b = ln(Y_blue / Y_red)` and `g = ln(Y_green^2 / (Y_red Y_blue))` of the same surface's
+/// irradiance Y; b' and g' are those of `wanted`.
 pub fn light_colour<'t>(environment: Var<'t>, texels: &[(DVec3, f64)], wanted: LightColour) -> Var<'t> {
     let shares = texels.iter().map(|(d, w)| d.z.max(0.0) * w / PI).collect();
     let shares = environment.tape.input(Array::new(&[texels.len(), 1], shares));
@@ -97,14 +97,14 @@ pub fn cross_entropy_of_logits<'t>(logits: Var<'t>, labels: Var<'t>) -> Var<'t> 
     logits.softplus() - logits * labels
 }
 
-/// Binary cross entropy of probabilities, kept off 0 and 1 by 1e-3, against `labels`, row by row (Eq. 15).
+/// Binary cross entropy of probabilities, clamped to 1e-3 .. 1 - 1e-3, against `labels`, row by row (Eq. 15).
 pub fn cross_entropy<'t>(probabilities: Var<'t>, labels: Var<'t>) -> Var<'t> {
     let p = probabilities.clamp_recoverable(1e-3, 1.0 - 1e-3);
     -(labels * p.ln() + (1.0 - labels) * (1.0 - p).ln())
 }
 
-/// Visibility labels from backward transmittance, (V, 1): the mean of `That` over the pixels, weighted by the
-/// splat's blending weights; and the sum of those weights, (V, 1).
+/// Visibility labels from backward transmittance, (V, 1): the mean of `That` over the pixels, weighted by the splat's blending
+/// weights; and the sum of those weights, (V, 1).
 pub fn backward_labels<'t>(weights: &Weights<'t>) -> (Var<'t>, Var<'t>) {
     let totals = weights.weights.sum_axis(0);
     let labels = (weights.weights * weights.backward).sum_axis(0) / totals.at_least(1e-8);

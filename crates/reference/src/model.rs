@@ -1,4 +1,4 @@
-//! What the reference engine renders: raw parameters by name, in f64.
+//! The model of the reference engine: raw parameters by name, in f64.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ pub const ENVIRONMENT: &str = "env_raw";
 /// Arrays by parameter name ([`Field::name`], [`PROTOTYPES`], [`ENVIRONMENT`]).
 pub type Arrays = BTreeMap<&'static str, Array>;
 
-/// Raw parameters before activation, all present and of fitting shapes.
+/// Raw parameters before activation, complete and with consistent shapes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReferenceModel {
     arrays: Arrays,
@@ -36,10 +36,10 @@ pub fn parameter_names() -> impl Iterator<Item = &'static str> {
 }
 
 impl ReferenceModel {
-    /// Takes arrays by name; `radiance_sh` may be absent and is then black, and so may `sheen`, which is then none.
+    /// A model from arrays by name. A missing `radiance_sh` means black, a missing `sheen` means no sheen.
     ///
     /// # Errors
-    /// Names the first parameter that is missing or does not fit the others.
+    /// Names the first parameter that is missing or inconsistent with the others.
     pub fn new(mut arrays: Arrays) -> Result<Self, ReferenceModelError> {
         let count = arrays.get(Field::Mean.name()).map_or(0, |a| a.shape()[0]);
         arrays.entry(Field::Radiance.name()).or_insert_with(|| Array::zeros(&[count, 3]));
@@ -80,12 +80,12 @@ impl ReferenceModel {
     /// The array of a parameter.
     ///
     /// # Panics
-    /// When `name` is none of [`parameter_names`].
+    /// When `name` is not one of [`parameter_names`].
     pub fn array(&self, name: &str) -> &Array {
         &self.arrays[name]
     }
 
-    /// The values of a parameter, to be written.
+    /// The values of a parameter, mutable.
     pub fn values_mut(&mut self, name: &str) -> Option<&mut [f64]> {
         self.arrays.get_mut(name).map(Array::data_mut)
     }
@@ -135,7 +135,7 @@ impl<'t> Parameters<'t> {
         (self.assignment().matmul(self.prototypes()) + self.get(Field::Residual)).clamp(0.0, 1.0)
     }
 
-    /// TapeGradients with respect to every parameter.
+    /// Gradients with respect to every parameter.
     pub fn gradients(&self, found: &TapeGradients) -> Arrays {
         self.vars.iter().map(|(&name, &var)| (name, found.of(var))).collect()
     }

@@ -1,4 +1,4 @@
-//! The objective: every term of Eq. 29 and of docs/MODEL.md section 5 for one rendered view.
+//! The objective: every term of Eq. 29 and of docs/MODEL.md, section 5, for one rendered view.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use super::tape::{Tape, Var};
 use relume_scene::light::{DAYLIGHT, LightColour};
 use relume_scene::{Camera, Field, VisibilityForm, texel_directions};
 
-/// What a view is compared with.
+/// The target of a view.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Target {
     /// The photograph over the pass's background, in display space, (H, W, 3).
@@ -49,7 +49,7 @@ pub const LISTING_WEIGHTS: [(&str, f64); 9] = [
 /// Smallest summed weight at which a Gaussian's backward label counts.
 const LABELLED: f64 = 1e-3;
 
-/// Measures a pass against its target; `total` is the sum under `weights`.
+/// Compares a pass with its target; `total` is the weighted sum.
 pub fn objective<'t>(
     pass: &Stages<'t>,
     camera: &Camera,
@@ -80,13 +80,13 @@ pub fn objective<'t>(
     terms
 }
 
-/// The sum of the named terms under their weights.
+/// The weighted sum of the named terms.
 pub fn weighted_sum<'t>(tape: &'t Tape, terms: &Terms<'t>, weights: &[(&str, f64)]) -> Var<'t> {
     let weighted = weights.iter().filter_map(|(name, weight)| terms.get(name).map(|t| *t * *weight));
     weighted.fold(tape.scalar(0.0), |sum, term| sum + term)
 }
 
-/// The terms that look at pixels.
+/// The terms on pixels.
 fn image_terms<'t>(pass: &Stages<'t>, camera: &Camera, target: &Target, options: &Options) -> Terms<'t> {
     let tape = pass.image.tape;
     let picture = |x: Var<'t>| {
@@ -109,7 +109,7 @@ fn image_terms<'t>(pass: &Stages<'t>, camera: &Camera, target: &Target, options:
         Conventions::Listing => pass.shaded.normal,
         Conventions::Model => pass.buffer.normal,
     };
-    // Where next to nothing is seen the attributes say nothing.
+    // Attributes of pixels with almost no coverage are meaningless.
     let seen = tape.input(options.conventions.shaded(&pass.buffer.coverage.value()));
     let smooth = |x: Var<'t>| losses::edge_aware_smoothness(picture(x * seen), photograph);
     let mut terms = Terms::from([
@@ -128,18 +128,18 @@ fn image_terms<'t>(pass: &Stages<'t>, camera: &Camera, target: &Target, options:
     terms
 }
 
-/// Whether visibility labels are data or part of the differentiated function. Training takes them as data;
-/// following the gradient through them is for checking the compositing.
+/// Treatment of visibility labels: constants, or part of the differentiated function. Training uses constants; the gradient
+/// through them serves to check the compositing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Labels {
-    /// Labels and their directions are constants: only the coefficients learn.
+    /// Labels and their directions are constants: only the coefficients have a gradient.
     Constant,
     /// Labels and directions depend on the geometry.
     Differentiated,
 }
 
-/// Visibility along the continued view rays against backward transmittance (Eq. 14-15), over the Gaussians
-/// with enough weight in the view.
+/// Visibility along the continued view rays against backward transmittance (Eq. 14-15), over the Gaussians with sufficient
+/// weight in the view.
 pub fn occlusion<'t>(pass: &Stages<'t>, camera: &Camera, options: &Options, labels: Labels) -> Var<'t> {
     let p = &pass.parameters;
     let tape = pass.image.tape;

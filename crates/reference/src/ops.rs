@@ -1,5 +1,5 @@
 //! The operations on tape values: arithmetic with broadcasting, element-wise functions, sums, products and
-//! rearrangements along an axis. Where a function has a kink the derivative is the one-sided or zero one named.
+//! rearrangements along an axis. At a kink of a function the derivative is one-sided or zero, as documented.
 
 use std::ops::{Add, Div, Mul, Neg, Range, Sub};
 
@@ -18,8 +18,8 @@ impl<'t> Var<'t> {
         })
     }
 
-    /// `f` of every row of a (P, A) value, (P, B), where `f` returns its value and its Jacobian `[B][A]`:
-    /// how functions that live outside the tape, such as table look-ups, are recorded.
+    /// `f` of every row of a (P, A) value, (P, B); `f` returns its value and its Jacobian `[B][A]`. This records functions
+    /// outside of the tape, such as table look-ups.
     pub fn map_rows<const A: usize, const B: usize>(
         self,
         f: impl Fn([f64; A]) -> ([f64; B], [[f64; A]; B]),
@@ -69,12 +69,12 @@ impl<'t> Var<'t> {
         self.map(f64::ln, |x, _| 1.0 / x)
     }
 
-    /// Square root; the derivative at 0 is taken as 0, so that the length of a null vector is harmless.
+    /// Square root; the derivative at 0 is defined as 0, so that the length of a zero vector has a finite gradient.
     pub fn sqrt(self) -> Var<'t> {
         self.map(f64::sqrt, |_, y| if y > 0.0 { 0.5 / y } else { 0.0 })
     }
 
-    /// Whole power, `n >= 1`.
+    /// Integer power, `n >= 1`.
     pub fn powi(self, n: i32) -> Var<'t> {
         self.map(|x| x.powi(n), move |x, _| f64::from(n) * x.powi(n - 1))
     }
@@ -109,8 +109,8 @@ impl<'t> Var<'t> {
         self.clamp(f64::NEG_INFINITY, high)
     }
 
-    /// Limits to `[low, high]`, where outside a gradient passes only if following it downhill leads back in:
-    /// a saturated value cannot run away, yet is not stuck either.
+    /// Limits to `[low, high]`. Outside a gradient passes only if descent leads back inside, so that a saturated value neither
+    /// diverges nor gets stuck.
     pub fn clamp_recoverable(self, low: f64, high: f64) -> Var<'t> {
         let x = self.value();
         self.tape.custom(&[self], x.map(|x| x.clamp(low, high)), move |g| {
@@ -138,13 +138,13 @@ impl<'t> Var<'t> {
         self.sum_axis(self.value().shape().len() - 1)
     }
 
-    /// Sum of everything, shape (1).
+    /// Sum of all values, shape (1).
     pub fn sum(self) -> Var<'t> {
         let count = self.value().len();
         self.reshaped(&[count]).sum_axis(0)
     }
 
-    /// Mean of everything, shape (1); 0 of nothing.
+    /// Mean of all values, shape (1); 0 for an empty array.
     pub fn mean(self) -> Var<'t> {
         self.sum() * (1.0 / self.value().len().max(1) as f64)
     }
@@ -160,7 +160,7 @@ impl<'t> Var<'t> {
         (self * other).sum_last()
     }
 
-    /// Rows scaled to unit length; a null row stays null.
+    /// Rows scaled to unit length; a zero row stays zero.
     pub fn normalised(self) -> Var<'t> {
         self / self.dot(self).sqrt().at_least(1e-12)
     }
@@ -185,7 +185,7 @@ impl<'t> Var<'t> {
         })
     }
 
-    /// The last two axes exchanged.
+    /// The value with its last two axes exchanged.
     pub fn transposed(self) -> Var<'t> {
         self.tape.custom(&[self], self.value().transposed(), |g| vec![g.transposed()])
     }
@@ -233,7 +233,7 @@ impl<'t> Var<'t> {
         }
         let values = y.clone();
         self.tape.custom(&[self], y, move |g| {
-            // The recurrence y[to] = y[from] x[from], from its last product to the first: no division, so x = 0 is fine.
+            // The recurrence y[to] = y[from] x[from], from its last product to the first. There is no division, so x may be 0.
             let mut gy = g.clone();
             let mut gx = Array::zeros(x.shape());
             for (row, gy) in gy.data_mut().chunks_mut(width).enumerate() {

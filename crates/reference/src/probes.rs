@@ -1,5 +1,5 @@
-//! Measured visibility and gathered light (docs/MODEL.md section 6), from every pair of Gaussians in every direction.
-//! Measurements are data: plain f64, no tape.
+//! Measured visibility and gathered light (docs/MODEL.md, section 6), from every pair of Gaussians in every direction.
+//! Measurements are constants: plain f64, no tape.
 
 use std::f64::consts::PI;
 
@@ -13,14 +13,14 @@ use super::spherical::real_sh;
 use super::tape::Tape;
 use relume_scene::Field;
 
-/// What N Gaussians see in D directions.
+/// Measurement of N Gaussians in D directions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Probes {
     /// The unit directions, (D, 3).
     pub directions: Array,
     /// Transmittance to infinity, (N, D).
     pub transmittance: Array,
-    /// Weight `T_j a_j` with which each Gaussian is seen, (N, D, N).
+    /// Weight `T_j a_j` of each Gaussian seen, (N, D, N).
     pub seen: Array,
 }
 
@@ -41,7 +41,7 @@ impl Occluder {
     fn alpha(&self, point: DVec3, d: DVec3, limits: AlphaLimits) -> f64 {
         let (u, v) = d.any_orthonormal_pair();
         let [uu, uv, vv] = [(u, u), (u, v), (v, v)].map(|(a, b)| a.dot(self.covariance * b));
-        // A disc seen edge-on would have a width of 0.
+        // Without the widening a disc seen edge-on would have width 0.
         let widening = 1e-4 * (uu + vv) + 1e-14;
         let (uu, vv) = (uu + widening, vv + widening);
         let away = point - self.mean;
@@ -53,8 +53,8 @@ impl Occluder {
 }
 
 impl Probes {
-    /// Measures `directions` (D, 3) from each centre moved `offset` standard deviations along its normal
-    /// (N, 3). What lies within one standard deviation of both along the direction does not occlude.
+    /// Measures `directions` (D, 3) from each centre, moved `offset` standard deviations along its normal (N, 3). A Gaussian
+    /// within one standard deviation of both along the direction does not occlude.
     pub fn measure(scene: &ReferenceModel, normals: &Array, directions: &Array, offset: f64) -> Self {
         let occluders = occluders(scene);
         let (count, rays) = (occluders.len(), directions.shape()[0]);
@@ -82,7 +82,7 @@ impl Probes {
         Self { directions: directions.clone(), transmittance, seen }
     }
 
-    /// Visibility coefficients `4 pi / D sum_d V(w_d) Y(w_d)` up to degree `sh_degree`, (N, (order + 1)^2).
+    /// Visibility coefficients `4 pi / D sum_d V(w_d) Y(w_d)` up to degree `sh_degree`, (N, (degree + 1)^2).
     pub fn coefficients(&self, sh_degree: usize) -> Array {
         let tape = Tape::new();
         let basis = real_sh(tape.input(self.directions.clone()), sh_degree);

@@ -1,4 +1,4 @@
-//! From Gaussians in space to ellipses on the image plane.
+//! Projection of Gaussians in space to ellipses on the image plane.
 
 use glam::DVec3;
 
@@ -8,12 +8,12 @@ use super::ops::concat;
 use super::tape::{Tape, Var};
 use relume_scene::{Camera, Field};
 
-/// Distance in front of the camera from which on a Gaussian is drawn, world units.
+/// Smallest depth at which a Gaussian is drawn, world units.
 pub const NEAR: f64 = 0.05;
 
 /// The Gaussians in front of the camera, front to back, on the image plane.
 pub struct Splats<'t> {
-    /// Which Gaussians these are, V indices.
+    /// Their Gaussians, V indices.
     pub indices: Vec<usize>,
     /// Depths `z_c`, (V, 1).
     pub depths: Var<'t>,
@@ -21,7 +21,7 @@ pub struct Splats<'t> {
     pub pixels: Var<'t>,
     /// Entries a, b, c of the inverse 2D covariance `[[a, b], [b, c]]`, 1/px^2, (V, 3).
     pub conics: Var<'t>,
-    /// Factor on opacity that keeps a splat's weight under the low-pass, (V, 1).
+    /// Factor on opacity that compensates for the low-pass, (V, 1).
     pub compensation: Var<'t>,
 }
 
@@ -52,8 +52,8 @@ pub fn covariances<'t>(p: &Parameters<'t>) -> Var<'t> {
     m.matmul(m.transposed())
 }
 
-/// Projects every Gaussian in front of the camera with the local affine approximation of perspective, which
-/// is taken within the `guard` band around the image only (docs/MODEL.md section 2).
+/// Projects every Gaussian in front of the camera with the local affine approximation of perspective, evaluated within the
+/// `guard` band around the image only (docs/MODEL.md, section 2).
 pub fn project<'t>(
     tape: &'t Tape,
     p: &Parameters<'t>,
@@ -87,17 +87,17 @@ pub fn project<'t>(
     Splats { indices, depths: z, pixels, conics, compensation }
 }
 
-/// Where the affine approximation may be taken.
+/// Region in which the affine approximation is evaluated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GuardBand {
-    /// Anywhere, as the listing.
+    /// Everywhere, as in the listing.
     Unlimited,
-    /// At most 15 % of the image's size outside of it.
+    /// Up to 15 % of the image's size outside of it.
     Image,
 }
 
 impl GuardBand {
-    /// The ratios x/z and y/z at which the Jacobian is taken; a limited ratio passes no gradient.
+    /// The ratios x/z and y/z at which the Jacobian is evaluated; a limited ratio passes no gradient.
     fn limited<'t>(self, camera: &Camera, x: Var<'t>, y: Var<'t>) -> [Var<'t>; 2] {
         let limit = |ratio: Var<'t>, size: u32, centre: f64, focal: f64| match self {
             Self::Unlimited => ratio,

@@ -1,4 +1,4 @@
-//! Light by plain quadrature over the texels of an environment, as the article's listing does it.
+//! Light by quadrature over the texels of an environment, as in the article's listing.
 
 use std::f64::consts::PI;
 
@@ -18,7 +18,7 @@ pub struct Quadrature {
     pub brdf: Array,
 }
 
-/// Smallest GGX alpha the texels can resolve.
+/// Smallest GGX alpha that the texels resolve.
 const MIN_GGX_ALPHA: f64 = 0.02;
 
 impl Quadrature {
@@ -68,7 +68,7 @@ impl<'t> Lighting<'t> for QuadratureLight<'t> {
         lobe.matmul(self.radiance) / (lobe.sum_last() + 1e-8)
     }
 
-    /// Bilinear, constant past the border.
+    /// Bilinear, constant beyond the border.
     fn brdf(&self, n_dot_v: Var<'t>, roughness: Var<'t>) -> Var<'t> {
         bilinear(&self.brdf, n_dot_v, roughness)
     }

@@ -1,4 +1,4 @@
-//! Split-sum shading of pixels, from the G-buffer, or of each Gaussian before it is blended (Eq. 16-22, docs/MODEL.md
+//! Split-sum shading of pixels, from the G-buffer, or of each Gaussian before blending (Eq. 16-22, docs/MODEL.md,
 //! section 4).
 
 use std::f64::consts::PI;
@@ -14,7 +14,7 @@ use super::tape::{Tape, Var};
 use relume_scene::light::{LobeAttenuation, MAX_SHEEN};
 use relume_scene::{Camera, DiffuseForm, Field, ShadingOptions, VisibilityForm};
 
-/// What shading makes of P pixels or Gaussians.
+/// Result of shading P pixels or Gaussians.
 pub struct Shaded<'t> {
     /// Unit normals turned to the camera, (P, 3).
     pub normal: Var<'t>,
@@ -37,7 +37,7 @@ pub fn learned_indirect<'t>(tape: &'t Tape, p: &Parameters<'t>, light: &dyn Ligh
     p.get(Field::Indirect).matmul(basis)
 }
 
-/// What is shaded: P pixels or Gaussians.
+/// Input of shading: P pixels or Gaussians.
 pub struct Surfaces<'t> {
     /// Normal of any length, (P, 3).
     pub normal: Var<'t>,
@@ -47,22 +47,22 @@ pub struct Surfaces<'t> {
     pub metal: Var<'t>,
     /// Roughness, (P, 1).
     pub rough: Var<'t>,
-    /// Sheen, (P, 1); none in the pixel.
+    /// Sheen, (P, 1); `None` in the pixel.
     pub sheen: Option<Var<'t>>,
     /// Irradiance gathered from other surfaces, (P, 3).
     pub gathered: Var<'t>,
-    /// Radiance from where the environment is blocked, (P, 3).
+    /// Radiance from directions in which the environment is blocked, (P, 3).
     pub blocked: Var<'t>,
     /// Visibility SH coefficients, (P, (L + 1)^2).
     pub visibility: Var<'t>,
-    /// Share of each of the light's own lights that arrives, (P, K); none: such lights are not shaded.
+    /// Arriving share of each dominant light, (P, K); `None`: dominant lights are not shaded.
     pub arriving: Option<Var<'t>>,
     /// Unit direction to the camera, (P, 3).
     pub view: Var<'t>,
 }
 
 impl<'t> Surfaces<'t> {
-    /// What is behind the pixels of a G-buffer seen by `camera`; no light is incident where it was outgoing that was blended.
+    /// The surfaces in the pixels of a G-buffer seen by `camera`. They have no incident light where outgoing light was blended.
     pub fn behind(tape: &'t Tape, buffer: &GBuffer<'t>, camera: &Camera) -> Self {
         let (gathered, blocked) = match buffer.light {
             BlendedLight::Incident { gathered, blocked } => (gathered, blocked),
@@ -86,7 +86,7 @@ impl<'t> Surfaces<'t> {
     }
 }
 
-/// The G-buffer seen by `camera` as what its pixels send.
+/// Radiance of the pixels of the G-buffer seen by `camera`.
 pub fn pixels<'t>(
     tape: &'t Tape,
     buffer: &GBuffer<'t>,
@@ -139,13 +139,13 @@ pub fn shade<'t>(
     Shaded { normal, ambient_occlusion, diffuse, specular }
 }
 
-/// `exp(s (1 - n . v)^3)`, docs/MODEL.md section 4.
+/// `exp(s (1 - n . v)^3)`, docs/MODEL.md, section 4.
 fn sheen_gain<'t>(sheen: Var<'t>, n_dot_v: Var<'t>) -> Var<'t> {
     let most = f64::from(MAX_SHEEN);
     (sheen.clamp(-most, most) * (1.0 - n_dot_v).powi(3)).exp()
 }
 
-/// `normals`, unit or not, at unit length and turned towards `view`.
+/// `normals`, of any length, normalised and turned towards `view`.
 fn facing<'t>(tape: &'t Tape, normals: Var<'t>, view: Var<'t>) -> Var<'t> {
     let normals = normals.normalised();
     let sign = normals.dot(view).value().map(|c| if c < 0.0 { -1.0 } else { 1.0 });
@@ -156,7 +156,7 @@ fn ambient_occlusion<'t>(normal: Var<'t>, visibility: Var<'t>, form: VisibilityF
     squashed(visibility.dot(normal_related_sh(normal, sh_degree_of(visibility))), form)
 }
 
-/// The field as it is shaded with.
+/// The visibility field that shading uses.
 fn visibility(coefficients: Var<'_>, form: VisibilityForm) -> Var<'_> {
     if form == VisibilityForm::Off { open(coefficients) } else { coefficients }
 }
@@ -169,7 +169,7 @@ fn open(coefficients: Var<'_>) -> Var<'_> {
     coefficients.tape.input(open)
 }
 
-/// A linear field made a visibility.
+/// Visibility, 0 to 1, of a linear field.
 fn squashed(linear: Var<'_>, form: VisibilityForm) -> Var<'_> {
     match form {
         VisibilityForm::Sigmoid => linear.sigmoid(),
@@ -177,7 +177,7 @@ fn squashed(linear: Var<'_>, form: VisibilityForm) -> Var<'_> {
     }
 }
 
-/// Visibility through the specular lobe, (P, 1); along the reflection alone in the article's form.
+/// Visibility over the specular lobe, (P, 1); in the article's form along the reflection alone.
 fn lobe_visibility<'t>(
     coefficients: Var<'t>,
     reflection: Var<'t>,

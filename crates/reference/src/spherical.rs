@@ -1,5 +1,5 @@
-//! Real spherical harmonics on the tape, straight from the associated Legendre recurrences, and the fixed
-//! direction sets of the article.
+//! Real spherical harmonics on the tape, from the associated Legendre recurrences, and the fixed direction sets of the
+//! article.
 
 use std::f64::consts::PI;
 
@@ -8,10 +8,10 @@ use super::ops::concat;
 use super::tape::Var;
 
 /// Eigenvalues of the clamped cosine per SH degree (Funk-Hecke): `int (n.w)+ Y_lm(w) dw = lambda_l Y_lm(n)`.
-/// Beyond degree 6 the kernel is taken as 0.
+/// Beyond degree 6 the kernel counts as 0.
 pub const CLAMPED_COSINE: [f64; 7] = [PI, 2.0 * PI / 3.0, PI / 4.0, 0.0, -PI / 24.0, 0.0, PI / 64.0];
 
-/// Orthonormal real SH up to degree `sh_degree` of unit rows (n, 3) -> (n, (order + 1)^2), index `l*l + l + m`.
+/// Orthonormal real SH up to degree `sh_degree` of unit rows (n, 3) -> (n, (degree + 1)^2), index `l*l + l + m`.
 ///
 /// `Y_lm = N_lm P_lm(z) / sin^m * Re or Im (x + iy)^m`: polynomial in x, y, z, hence smooth at the poles.
 pub fn real_sh(directions: Var<'_>, sh_degree: usize) -> Var<'_> {
@@ -44,12 +44,12 @@ pub fn degrees(sh_degree: usize) -> Vec<usize> {
     (0..=sh_degree).flat_map(|l| std::iter::repeat_n(l, 2 * l + 1)).collect()
 }
 
-/// The highest degree of SH coefficients (n, (order + 1)^2).
+/// The highest degree of SH coefficients (n, (degree + 1)^2).
 pub fn sh_degree_of(coefficients: Var<'_>) -> usize {
     coefficients.value().shape()[1].isqrt() - 1
 }
 
-/// Normal-related SH of unit rows (n, 3) -> (n, (order + 1)^2): `AO = <c, NRSH(n)>` (article Eq. 16-18).
+/// Normal-related SH of unit rows (n, 3) -> (n, (degree + 1)^2): `AO = <c, NRSH(n)>` (article Eq. 16-18).
 pub fn normal_related_sh(normals: Var<'_>, sh_degree: usize) -> Var<'_> {
     let factor = |l: usize| CLAMPED_COSINE.get(l).map_or(0.0, |lambda| lambda / PI);
     let factors: Vec<f64> = degrees(sh_degree).into_iter().map(factor).collect();

@@ -1,5 +1,5 @@
-//! Light from tables (docs/MODEL.md section 4): dense f64 operators on the texels, tabulated on cube grids
-//! of directions exactly as `light` does, and looked up with its weights.
+//! Light from tables (docs/MODEL.md, section 4): dense f64 operators on the texels, tabulated on cube grids of directions as in
+//! `relume_scene::light`, and looked up with its weights.
 
 use std::f64::consts::PI;
 
@@ -25,7 +25,7 @@ pub struct TableOperators {
     split: LightSplit,
 }
 
-/// One table: its nodes, and the weights (nodes, M) that make it out of radiance.
+/// One table: its nodes, and its linear operator on radiance, (nodes, M).
 #[derive(Debug, Clone)]
 struct Operator {
     grid: CubeGrid,
@@ -37,7 +37,7 @@ impl TableOperators {
     pub fn new(width: usize, height: usize, resolution: TableResolution) -> Self {
         let texels = texel_directions(width, height);
         let cosine = |n: glam::DVec3| texels.iter().map(|(d, w)| n.dot(*d).max(0.0) * w).collect();
-        // A lobe narrower than a texel would fall between texel centres.
+        // A lobe narrower than a texel could miss all texel centres.
         let smallest_alpha = 0.25 * PI / height as f64;
         let level = |(k, roughness): (usize, &f32)| {
             let nodes = if k < 2 { resolution.sharp } else { resolution.rough };
@@ -63,13 +63,13 @@ impl TableOperators {
         }
     }
 
-    /// The same with lights taken out of the environments, as `split` says.
+    /// The same operators for environments with the dominant lights of `split`.
     #[must_use]
     pub fn with_lights(&self, split: &LightSplit) -> Self {
         Self { split: split.clone(), ..self.clone() }
     }
 
-    /// The lights of one `radiance`, (M, 3).
+    /// The dominant lights of one `radiance`, (M, 3).
     fn lights<'t>(&self, radiance: Var<'t>) -> Vec<DirectLight<'t>> {
         let light = |(k, light): (usize, &SplitLight)| {
             let shares = self.split.shares.iter().zip(&self.solid_angles);
@@ -84,7 +84,7 @@ impl TableOperators {
         self.split.lights.iter().enumerate().map(light).collect()
     }
 
-    /// What is left of `radiance`, (M, 3).
+    /// The rest of `radiance` without dominant lights, (M, 3).
     fn rest<'t>(&self, radiance: Var<'t>) -> Var<'t> {
         if self.split.is_empty() {
             return radiance;
@@ -94,14 +94,14 @@ impl TableOperators {
         radiance * radiance.tape.input(Array::from_rows(&shares))
     }
 
-    /// The tables of one `radiance`, (M, 3), serving visibility up to degree `sh_degree`.
+    /// The tables of one `radiance`, (M, 3), for visibility up to degree `sh_degree`.
     pub fn under<'t>(&self, radiance: Var<'t>, sh_degree: usize) -> TabulatedEnvironment<'t> {
         let lights = self.lights(radiance);
         let radiance = self.rest(radiance);
         let tape = radiance.tape;
         let basis = real_sh(tape.input(self.directions.clone()), sh_degree);
         let [texels, coefficients] = [0, 1].map(|i| basis.value().shape()[i]);
-        // Light let through by each coefficient, per colour.
+        // Light that each coefficient passes, per colour.
         let products = radiance.reshaped(&[texels, 3, 1]) * basis.reshaped(&[texels, 1, coefficients]);
         let products = products.reshaped(&[texels, 3 * coefficients]);
         TabulatedEnvironment {
@@ -114,7 +114,7 @@ impl TableOperators {
 
 impl Operator {
     /// Tabulates `weights` of each node; entries below 1e-4 of the largest are dropped and the rest rescaled
-    /// to the same sum, as the sparse operators of `light` are.
+    /// to the same sum, as in the sparse operators of `relume_scene::light`.
     fn new(grid: CubeGrid, weights: impl Fn(glam::DVec3) -> Vec<f64>) -> Self {
         let mut data = Vec::new();
         for node in grid.directions() {
@@ -144,7 +144,7 @@ impl<'t> Table<'t> {
     fn at(&self, directions: Var<'t>) -> Var<'t> {
         let weights = directions.map_rows(|d: [f64; 3]| {
             let taps = self.grid.lookup(d);
-            // A null vector has a node but no direction it could turn to.
+            // A zero vector maps to a node but has no derivative.
             let gradient = if d == [0.0; 3] { [[0.0; 3]; 4] } else { taps.gradient };
             (taps.weight, gradient)
         });
@@ -188,7 +188,7 @@ impl<'t> Lighting<'t> for TabulatedEnvironment<'t> {
         (transfer * visibility.reshaped(&[pixels, 1, used])).sum_last().reshaped(&[pixels, 3])
     }
 
-    /// Levels mixed by hat functions of roughness.
+    /// Linear interpolation of the levels by roughness.
     fn prefiltered(&self, directions: Var<'t>, roughness: Var<'t>) -> Var<'t> {
         let shares = roughness.map_rows(|[roughness]: [f64; 1]| {
             let LevelPosition { level, fraction, by_roughness: derivative } = LevelPosition::of(roughness);

@@ -1,5 +1,5 @@
-//! Reverse-mode differentiation over dense arrays: every operation appends its value and its pullback to a
-//! tape, and the gradient of a scalar is found in one pass back along it.
+//! Reverse-mode differentiation over dense arrays. Every operation appends its value and its pullback to a tape; one backward
+//! pass along the tape computes the gradient of a scalar.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -34,12 +34,12 @@ impl Tape {
         Self::default()
     }
 
-    /// Puts a value on the tape that depends on nothing.
+    /// Records a value without parents.
     pub fn input(&self, value: Array) -> Var<'_> {
         self.custom(&[], value, |_| Vec::new())
     }
 
-    /// Puts a single number on the tape, shape (1).
+    /// Records a single number, shape (1).
     pub fn scalar(&self, value: f64) -> Var<'_> {
         self.input(Array::new(&[1], vec![value]))
     }
@@ -58,7 +58,7 @@ impl Tape {
         Var { tape: self, id: nodes.len() - 1 }
     }
 
-    /// TapeGradients of the sum of `of` with respect to everything recorded before it.
+    /// Gradients of the sum of `of` with respect to everything recorded before it.
     pub fn gradients(&self, of: Var<'_>) -> TapeGradients {
         let nodes = self.nodes.borrow();
         let mut grads: Vec<Option<Array>> = vec![None; of.id + 1];
@@ -76,13 +76,13 @@ impl Tape {
     }
 }
 
-/// What [`Tape::gradients`] found.
+/// Result of [`Tape::gradients`].
 pub struct TapeGradients {
     grads: Vec<Option<Array>>,
 }
 
 impl TapeGradients {
-    /// The gradient with respect to `var`; zeros where nothing depends on it.
+    /// The gradient with respect to `var`; zeros where the result does not depend on it.
     pub fn of(&self, var: Var<'_>) -> Array {
         let found = self.grads.get(var.id).and_then(Clone::clone);
         found.unwrap_or_else(|| Array::zeros(var.value().shape()))
@@ -90,7 +90,7 @@ impl TapeGradients {
 }
 
 impl<'t> Var<'t> {
-    /// The tape it is recorded on.
+    /// The tape of the value.
     pub fn tape(self) -> &'t Tape {
         self.tape
     }
@@ -100,7 +100,7 @@ impl<'t> Var<'t> {
         self.tape.nodes.borrow()[self.id].value.clone()
     }
 
-    /// The same value, through which no gradient flows.
+    /// The same value as a constant, without a gradient.
     pub fn detached(self) -> Var<'t> {
         self.tape.input((*self.value()).clone())
     }

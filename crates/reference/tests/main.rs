@@ -1,6 +1,6 @@
 //! The f64 reference engine and comparisons of the engines with it.
 
-// Helpers of tests are tests: a failed one should say where.
+// Test helpers may panic: the panic names the place.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 mod extremes;

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A picture that can be asked for.
+/// A plane that a caller can request. The numbers of floats per pixel are in parentheses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Output {
@@ -10,7 +10,7 @@ pub enum Output {
     Rgb,
     /// Linear base colour (3).
     Albedo,
-    /// World-space unit normal; zero where nothing is (3).
+    /// World-space unit normal; zero in empty pixels (3).
     Normal,
     /// Metalness (1).
     #[serde(alias = "metalness")]
@@ -20,7 +20,7 @@ pub enum Output {
     /// Ambient occlusion, 1 = open (1).
     #[serde(alias = "ao", alias = "ambient_occlusion")]
     Visibility,
-    /// Distance along the view axis, capture units; infinite where nothing is (1).
+    /// Distance along the view axis, capture units; infinite in empty pixels (1).
     Depth,
     /// Coverage (1).
     Alpha,
@@ -33,7 +33,7 @@ pub enum Output {
 }
 
 impl Output {
-    /// Floats a pixel.
+    /// Floats per pixel.
     pub fn channels(self) -> usize {
         match self {
             Self::Rgb | Self::Albedo | Self::Normal | Self::Diffuse | Self::Specular | Self::Radiance => 3,

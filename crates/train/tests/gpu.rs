@@ -17,6 +17,7 @@ use relume_train::eval::{EvalOptions, Report, evaluate};
 use relume_train::render::{PreparedLight, Renderer};
 use relume_train::{TrainError, Trainer};
 
+use crate::support::{self, short_overrides as overrides};
 use crate::tiers::sun;
 use relume_reference::gpu_device;
 
@@ -36,30 +37,13 @@ fn capture() -> &'static Capture {
     })
 }
 
-fn overrides() -> TrainOverrides {
-    TrainOverrides {
-        iterations: Some(60),
-        resolution: Some(40),
-        initial_gaussians: Some(300),
-        max_gaussians: Some(500),
-        probe_directions: Some(16),
-        probe_every: Some(13),
-        checkpoint_every: Some(17),
-        ..Default::default()
-    }
-}
-
 fn trainer(overrides: &TrainOverrides, device: &Device) -> Trainer {
-    Trainer::new(capture(), TrainConfig::new(Preset::Draft, overrides).unwrap(), device).unwrap()
+    support::trainer(capture(), overrides, device)
 }
 
 /// Trains to the end and returns the losses.
 fn finish(trainer: &mut Trainer) -> Vec<f32> {
-    let mut losses = Vec::new();
-    while !trainer.is_done() {
-        losses.push(trainer.step().unwrap().loss);
-    }
-    losses
+    support::finish(trainer).into_iter().map(|report| report.loss).collect()
 }
 
 /// A model with everything in it: some steps of a training.

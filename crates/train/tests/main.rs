@@ -7,6 +7,7 @@ mod exposures;
 mod gpu;
 mod gpu_rays;
 mod lights;
+mod support;
 mod tiers;
 mod training;
 mod turntable;

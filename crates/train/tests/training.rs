@@ -13,6 +13,8 @@ use relume_spec::training::{
 };
 use relume_train::{PreparedTraining, TrainError, Trainer};
 
+use crate::support::short_overrides as overrides;
+
 fn capture() -> &'static Capture {
     static CAPTURE: OnceLock<Capture> = OnceLock::new();
     CAPTURE.get_or_init(|| {
@@ -26,19 +28,6 @@ fn capture() -> &'static Capture {
         };
         synthetic(&options).unwrap()
     })
-}
-
-fn overrides() -> TrainOverrides {
-    TrainOverrides {
-        iterations: Some(60),
-        resolution: Some(40),
-        initial_gaussians: Some(300),
-        max_gaussians: Some(500),
-        probe_directions: Some(16),
-        probe_every: Some(13),
-        checkpoint_every: Some(17),
-        ..Default::default()
-    }
 }
 
 fn config(overrides: &TrainOverrides) -> TrainConfig {

@@ -13,6 +13,8 @@ use relume_train::{StepReport, TrainError, Trainer};
 
 use relume_reference::gpu_device;
 
+use crate::support::{self, finish, trainer};
+
 /// Turns of the light in the photographs, degrees: whole columns of the environment's 32, and not.
 const TURNS: [f64; 3] = [0.0, 112.5, 240.0];
 
@@ -56,26 +58,7 @@ fn turntable() -> &'static Capture {
 }
 
 fn overrides() -> TrainOverrides {
-    TrainOverrides {
-        iterations: Some(240),
-        resolution: Some(40),
-        initial_gaussians: Some(300),
-        max_gaussians: Some(500),
-        probe_directions: Some(16),
-        ..Default::default()
-    }
-}
-
-fn trainer(capture: &Capture, overrides: &TrainOverrides, device: &Device) -> Trainer {
-    Trainer::new(capture, TrainConfig::new(Preset::Draft, overrides).unwrap(), device).unwrap()
-}
-
-fn finish(trainer: &mut Trainer) -> Vec<StepReport> {
-    let mut reports = Vec::new();
-    while !trainer.is_done() {
-        reports.push(trainer.step().unwrap());
-    }
-    reports
+    support::overrides(240)
 }
 
 #[test]

@@ -58,7 +58,7 @@ mod tests {
         };
         assert_eq!(file("out/%04d.exr", 1001, 0).unwrap(), "out/1001.exr");
         assert_eq!(file("a.%04d.png", 1, 9).unwrap(), "a.0010.png");
-        assert_eq!(file("%02d.png", 99, 1).unwrap(), "100.png", "more digits than asked for");
+        assert_eq!(file("%02d.png", 99, 1).unwrap(), "100.png", "more digits than requested");
         assert_eq!(file("%d.jpg", 0, 7).unwrap(), "7.jpg");
         for wrong in ["frame.png", "%s.png", "%04.png", "%4d.png", "%0d.png", "%04d_%04d.png", "%010d.png"] {
             assert!(file(wrong, 1, 0).unwrap_err().contains("%04d"), "{wrong}");

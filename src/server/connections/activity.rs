@@ -1,4 +1,4 @@
-//! What one connection does: it waits, sends the head of a request, or is being answered.
+//! The activity of a connection: idle, receiving the head of a request, or answering.
 
 use std::sync::Arc;
 
@@ -7,16 +7,16 @@ use tokio::time::Instant;
 
 use crate::server::connections::ConnectionLimits;
 
-/// What one connection does.
+/// The activity of a connection.
 pub(super) struct Activity(watch::Sender<ActivityState>);
 
 #[derive(Debug, Clone, Copy)]
 struct ActivityState {
-    /// Requests that are being answered.
+    /// Number of requests that are being answered.
     requests: u32,
-    /// True when part of a request's head has arrived.
+    /// Whether a part of a request's head has arrived.
     in_head: bool,
-    /// When that part began to arrive, or else when the connection began to wait.
+    /// Time at which this part began to arrive, or at which the connection became idle.
     since: Instant,
 }
 
@@ -28,7 +28,7 @@ impl ActivityState {
 }
 
 impl Activity {
-    /// A connection that was just opened.
+    /// A new connection.
     pub(super) fn new() -> Arc<Self> {
         Arc::new(Self(watch::Sender::new(ActivityState {
             requests: 0,
@@ -37,7 +37,7 @@ impl Activity {
         })))
     }
 
-    /// Bytes arrived. Between requests they begin the head of the next.
+    /// Records received bytes. Between requests they begin the head of the next one.
     pub(super) fn received(&self) {
         self.0.send_if_modified(|state| {
             let begins = state.requests == 0 && !state.in_head;
@@ -48,7 +48,7 @@ impl Activity {
         });
     }
 
-    /// A request's head is complete; the connection is busy until the result is dropped.
+    /// Records a complete head. The connection is busy until the result is dropped.
     pub(super) fn begin(self: &Arc<Self>) -> Busy {
         self.0.send_modify(|state| {
             *state = ActivityState { requests: state.requests + 1, in_head: false, ..*state }
@@ -56,13 +56,13 @@ impl Activity {
         Busy(self.clone())
     }
 
-    /// Since when the server has nothing to answer here; `None` while it has.
+    /// The time since which the server has nothing to answer on this connection; `None` while it has.
     pub(super) fn waiting_since(&self) -> Option<Instant> {
         let state = *self.0.borrow();
         (state.requests == 0).then_some(state.since)
     }
 
-    /// Resolves when the connection has waited, or sent a head, for too long.
+    /// Resolves when the connection has been idle, or receiving a head, for too long.
     pub(super) async fn overdue(&self, limits: &ConnectionLimits) {
         let mut changes = self.0.subscribe();
         loop {
@@ -103,7 +103,7 @@ mod tests {
         write: Duration::ZERO,
     };
 
-    /// Seconds until the connection is overdue, on a clock that leaps.
+    /// Seconds until the connection is overdue, with a simulated clock.
     async fn seconds(activity: &Activity) -> u64 {
         let begin = Instant::now();
         activity.overdue(&LIMITS).await;

@@ -1,8 +1,7 @@
-//! Connections: how many there may be and how long a client may keep one waiting.
+//! Connections: their number, and their timeouts.
 //!
-//! hyper speaks HTTP/1.1 on each. Its own header timeout also runs while a connection idles between two requests, so it
-//! cannot tell a slow request from a quiet client; [`Activity`] can. [`UnreadBody`] tells
-//! what a request leaves behind.
+//! hyper handles HTTP/1.1 on each connection. Its header timeout also runs while a connection is idle between two requests, so it
+//! cannot distinguish a slow request from an idle client; [`Activity`] can. [`UnreadBody`] handles the rest of a request's body.
 
 mod activity;
 mod limits;
@@ -40,16 +39,16 @@ pub use limits::{ConnectionLimits, raise_file_limit};
 use registry::{ConnectionSlot, Registry};
 use unread::UnreadBody;
 
-/// Pause after the operating system gave no socket, e.g. because this process may open no more files.
+/// Pause after the operating system refused a socket, e.g. because the process reached its limit of open files.
 const ACCEPT_RETRY_PAUSE: Duration = Duration::from_millis(50);
 
-/// Longest time for which a client that was answered before it had sent its request is read from.
+/// Maximum time for which the server reads from a client that was answered before the end of its request.
 const LINGER: Duration = Duration::from_secs(60);
-/// Longest time for which it may send nothing meanwhile.
+/// Timeout without bytes during this time.
 const LINGER_IDLE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Serves connections until `stop` is cancelled, then closes the waiting ones and lets requests end for at most `drain`.
-/// Returns whether all ended in time.
+/// Serves connections until `stop` is cancelled, then closes the waiting ones and lets requests end for at most `drain`. Returns
+/// whether all ended in time.
 pub(super) async fn serve(
     listener: TcpListener,
     routes: Router,
@@ -80,7 +79,7 @@ pub(super) async fn serve(
     tokio::time::timeout(drain, connections.wait()).await.is_ok()
 }
 
-/// Serves one connection until it ends, its client is too slow, room is needed or the server stops.
+/// Serves one connection until it ends, times out, is evicted or the server stops.
 async fn connection(
     stream: TcpStream,
     peer: SocketAddr,
@@ -96,8 +95,8 @@ async fn connection(
     let mut serving = http1::Builder::new().serve_connection(io, service);
     let ended = tokio::select! {
         result = poll_fn(|context| serving.poll_without_shutdown(context)) => Some(result),
-        () = slot.activity.overdue(&limits) => return tracing::debug!(%peer, "sent no request in time"),
-        () = slot.close.cancelled() => return tracing::debug!(%peer, "closed to make room"),
+        () = slot.activity.overdue(&limits) => return tracing::debug!(%peer, "closed the connection: no request in time"),
+        () = slot.close.cancelled() => return tracing::debug!(%peer, "closed the connection for a new one"),
         () = stop.cancelled() => None,
     };
     let result = match ended {
@@ -109,31 +108,31 @@ async fn connection(
         }
     };
     if let Err(error) = result {
-        return tracing::debug!(%peer, %error, "the connection broke off");
+        return tracing::debug!(%peer, %error, "the connection broke");
     }
     let stream = serving.into_parts().io.into_inner();
     tokio::select! {
         () = close(stream, is_cut.into_inner()) => {}
-        () = slot.close.cancelled() => tracing::debug!(%peer, "closed to make room"),
+        () = slot.close.cancelled() => tracing::debug!(%peer, "closed the connection for a new one"),
         () = stop.cancelled() => {}
     }
 }
 
-/// Ends a connection whose last answer is sent. A client that is still sending then (`is_cut`) is read from for a while: to a
-/// client that sends to a closed socket, the operating system may refuse the answer that waits for it.
+/// Closes a connection after its last answer. If the client is still sending (`is_cut`), the server reads from it for a while,
+/// because the operating system may discard an answer for a client that sends to a closed socket.
 async fn close(mut stream: impl AsyncRead + AsyncWrite + Unpin, is_cut: bool) {
     if stream.shutdown().await.is_err() || !is_cut {
         return;
     }
     let flows = async {
         let mut piece = vec![0; 16 << 10];
-        // Whichever way this ends, nobody is told more.
+        // The result does not matter, because the connection is closed in all cases.
         while let Ok(Ok(1..)) = tokio::time::timeout(LINGER_IDLE_TIMEOUT, stream.read(&mut piece)).await {}
     };
     let _ = tokio::time::timeout(LINGER, flows).await;
 }
 
-/// A stream that tells of bytes that arrive and fails when nothing can be written for too long.
+/// A stream that records received bytes and fails if a write takes too long.
 fn watched(
     stream: TcpStream,
     limits: ConnectionLimits,
@@ -149,8 +148,8 @@ fn watched(
     Box::pin(InspectReader::new(stream, arrived))
 }
 
-/// Answers a request; the connection counts as busy until the last byte of the answer was handed over. Sets `is_cut` where the
-/// client has not sent all of it.
+/// Answers a request. The connection counts as busy until the last byte of the answer is sent. Sets `is_cut` if the client has
+/// not sent the whole request.
 async fn answer(
     routes: Router,
     request: hyper::Request<Incoming>,
@@ -173,9 +172,9 @@ async fn answer(
     }))
 }
 
-/// Tells a client that there is no room, as far as that can be done without waiting for it.
+/// Refuses a client because of the connection limit, without waiting for the client.
 fn reject(stream: &TcpStream, peer: SocketAddr) {
-    tracing::warn!(%peer, "no room for another connection");
+    tracing::warn!(%peer, "refused a connection: all connections are in use");
     let problem = Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "Too many connections are open");
     let body = serde_json::to_string(&*problem.retry_after(1)).unwrap_or_default();
     let length = body.len();
@@ -183,17 +182,17 @@ fn reject(stream: &TcpStream, peer: SocketAddr) {
         "HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/problem+json\r\nretry-after: 1\r\n\
          content-length: {length}\r\nconnection: close\r\n\r\n{body}"
     );
-    // A client that does not take it now finds the connection closed.
+    // A client that does not accept this answer immediately sees a closed connection.
     let _ = stream.try_write(answer.as_bytes());
 }
 
-/// A waiting connection gives its socket up; the next try comes after a pause, so that this does not spin.
+/// Closes a waiting connection to free its socket. The next attempt follows a pause, to avoid a busy loop.
 async fn handle_accept_error(error: &std::io::Error, registry: &Registry) {
     use std::io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
     if matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset) {
         return;
     }
-    tracing::error!(%error, "no socket for another connection");
+    tracing::error!(%error, "cannot accept a connection");
     registry.close_longest_waiting();
     tokio::time::sleep(ACCEPT_RETRY_PAUSE).await;
 }

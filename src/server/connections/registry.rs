@@ -1,4 +1,4 @@
-//! The open connections, and which of them goes when there is no room for another.
+//! The open connections, and the choice of the connection to close for a new one.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -27,12 +27,12 @@ struct ConnectionEntry {
     close: CancellationToken,
 }
 
-/// A connection's place; given up when it is dropped.
+/// The slot of a connection. It is released when it is dropped.
 pub(super) struct ConnectionSlot {
     registry: Arc<Registry>,
     id: u64,
     pub(super) activity: Arc<Activity>,
-    /// Cancelled when another connection takes the place.
+    /// Cancelled when another connection takes the slot.
     pub(super) close: CancellationToken,
 }
 
@@ -41,7 +41,7 @@ impl Registry {
         Self { limits, open: Mutex::default() }
     }
 
-    /// A place for a connection from `address`; `None` when all are taken by requests that are being answered.
+    /// A slot for a connection from `address`; `None` if all slots are used by requests that are being answered.
     pub(super) fn admit(self: &Arc<Self>, address: IpAddr) -> Option<ConnectionSlot> {
         let mut open = self.lock();
         let same = |entry: &ConnectionEntry| entry.address == address;
@@ -60,7 +60,7 @@ impl Registry {
         Some(ConnectionSlot { registry: self.clone(), id, activity, close })
     }
 
-    /// Closes the connection that has waited longest, if one waits.
+    /// Closes the connection that has waited longest, if any is waiting.
     pub(super) fn close_longest_waiting(&self) {
         self.lock().evict(|_| true);
     }
@@ -71,7 +71,7 @@ impl Registry {
 }
 
 impl OpenConnections {
-    /// Closes the connection that has waited longest among those that match; false when none of them waits.
+    /// Closes the connection that has waited longest among those that match; false if none of them is waiting.
     fn evict(&mut self, matches: impl Fn(&ConnectionEntry) -> bool) -> bool {
         let waiting = self.connections.iter().filter(|(_, entry)| matches(entry));
         let waiting = waiting.filter_map(|(id, entry)| Some((entry.activity.waiting_since()?, *id)));

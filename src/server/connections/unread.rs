@@ -1,7 +1,8 @@
-//! What is left of a request's body when its answer is ready.
+//! The unread part of a request's body when its answer is ready.
 //!
-//! A connection goes on only after all of a body. A little that is left is taken, so that the client may keep its connection; where
-//! more is left it must be told, or it would send its next request into the void.
+//! A connection can be reused only after the whole body is read. A short rest is read and discarded, so that the client can keep
+//! its connection. With a longer rest the connection is closed and the answer says so; otherwise the client would send its next
+//! request on it.
 
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
@@ -13,12 +14,12 @@ use http_body_util::BodyExt;
 use hyper::body::{Frame, SizeHint};
 use tokio::sync::oneshot;
 
-/// Most bytes that are taken in vain.
+/// Maximum number of bytes that are discarded.
 const MAX_DRAINED_BYTES: usize = 64 << 10;
-/// Longest time for which that is done.
+/// Maximum time for discarding.
 const DRAIN_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// A body that comes back to where it was lent from when it is dropped.
+/// A body that is sent back to its owner when it is dropped.
 struct LentBody<B> {
     body: Option<B>,
     is_begun: bool,
@@ -26,18 +27,18 @@ struct LentBody<B> {
     back: Option<oneshot::Sender<ReturnedBody<B>>>,
 }
 
-/// A body that whoever was to read it has dropped.
+/// A body that its reader has dropped.
 struct ReturnedBody<B> {
     body: B,
     is_begun: bool,
     is_over: bool,
 }
 
-/// A request's body while it is with its handler.
+/// A request's body while a handler has it.
 pub(super) struct UnreadBody<B> {
-    /// None where there is no body.
+    /// `None` if there is no body.
     back: Option<oneshot::Receiver<ReturnedBody<B>>>,
-    /// Whether the client sends only after it was told to go on, which the first look at its body does.
+    /// Whether the client waits for `100 Continue`, which the first read of its body sends.
     waits: bool,
 }
 
@@ -57,19 +58,19 @@ where
         (Self { back: Some(receiver), waits }, Body::new(lent))
     }
 
-    /// Takes the little that may be left of the body. Returns whether nothing more of it may come.
+    /// Discards a short rest of the body. Returns whether no more of the body can arrive.
     pub(super) async fn drain_body(self) -> bool {
         match self.back.map(|mut back| back.try_recv()) {
             None => true,
             Some(Ok(rest)) if rest.is_over => true,
             Some(Ok(rest)) if rest.is_begun || !self.waits => take(rest.body).await,
-            // Nobody has asked for it, or it is still being read.
+            // The body was never requested from the client, or is still being read.
             Some(_) => false,
         }
     }
 }
 
-/// Takes a body, within bounds. Returns whether that was all of it.
+/// Discards a body within the limits. Returns whether its end was reached.
 async fn take<B: HttpBody<Data = Bytes> + Unpin>(mut body: B) -> bool {
     let mut left = MAX_DRAINED_BYTES;
     let all = async {
@@ -112,7 +113,7 @@ impl<B: HttpBody<Data = Bytes> + Unpin> HttpBody for LentBody<B> {
 impl<B> Drop for LentBody<B> {
     fn drop(&mut self) {
         if let (Some(back), Some(body)) = (self.back.take(), self.body.take()) {
-            // Where the request is gone, so is its body.
+            // If the request no longer exists, its body is not needed.
             let _ = back.send(ReturnedBody { body, is_begun: self.is_begun, is_over: self.is_over });
         }
     }
@@ -124,7 +125,7 @@ mod tests {
     use axum::http::HeaderValue;
     use futures::StreamExt;
 
-    /// Whether nothing is left of a body of `pieces` of 1,000 bytes of which `read` were read.
+    /// Whether the end is reached for a body of `pieces` chunks of 1,000 bytes, of which `read` were read.
     async fn drained(pieces: usize, read: usize, headers: &HeaderMap) -> bool {
         let pieces = (0..pieces).map(|_| Ok::<_, std::io::Error>(Bytes::from(vec![0; 1000])));
         let (unread, lent) = UnreadBody::lend(headers, Body::from_stream(futures::stream::iter(pieces)));
@@ -151,7 +152,7 @@ mod tests {
     async fn unread_body_with_expect_100_continue_is_not_drained() {
         let expect = HeaderMap::from_iter([(header::EXPECT, HeaderValue::from_static("100-continue"))]);
         assert!(!drained(3, 0, &expect).await);
-        assert!(drained(3, 1, &expect).await, "it sends already");
+        assert!(drained(3, 1, &expect).await, "the client is already sending");
     }
 
     #[tokio::test(start_paused = true)]

@@ -1,4 +1,4 @@
-//! Why an export is not made to its end.
+//! The reasons why an export does not succeed.
 
 use std::time::Duration;
 
@@ -8,27 +8,27 @@ use crate::server::problem::Problem;
 use crate::store::StoreError;
 use relume_api::problem::TYPE_PREFIX;
 
-/// How long it is tried again while the server is busy.
+/// Maximum time for retries while the server is busy.
 const MAX_BUSY_WAIT: Duration = Duration::from_secs(3600);
-/// Time between two tries.
+/// Delay between two attempts.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Why an export is not made to its end.
+/// Why an export does not succeed.
 #[derive(Debug)]
 pub(super) enum ExportError {
-    /// It was cancelled or deleted, or the server stops.
+    /// It was cancelled or deleted, or the server is stopping.
     Unwanted,
-    /// It cannot be made.
+    /// It failed.
     Failed {
-        /// Stable code: the kind of the problem that a request would have met, or `export_failed`.
+        /// Stable code: the kind of the problem that a request would have returned, or `export_failed`.
         code: String,
-        /// What is wrong, for people.
+        /// Description of the failure.
         detail: String,
     },
 }
 
 impl ExportError {
-    /// For what no request would have met.
+    /// A failure without a corresponding problem of a request.
     pub(super) fn failed(detail: impl Into<String>) -> Self {
         Self::Failed { code: "export_failed".to_owned(), detail: detail.into() }
     }
@@ -55,19 +55,19 @@ impl From<std::io::Error> for ExportError {
     }
 }
 
-/// Waits while the server is busy, for an hour from when it began.
+/// Limits retries while the server is busy to an hour after its creation.
 pub(super) struct BusyRetry(Instant);
 
 impl BusyRetry {
-    /// Begins now.
+    /// Starts the hour.
     pub(super) fn new() -> Self {
         Self(Instant::now())
     }
 
-    /// Ends when it is time to ask again after a refusal.
+    /// Waits before the next attempt after a refusal.
     ///
     /// # Errors
-    /// The refusal, when asking again would not help or has not helped for an hour.
+    /// The refusal, if a retry cannot help or the hour has passed.
     pub(super) async fn wait(&self, refusal: Problem) -> Result<(), ExportError> {
         if refusal.status != 503 || self.0.elapsed() > MAX_BUSY_WAIT {
             return Err(refusal.into());

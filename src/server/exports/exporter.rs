@@ -1,4 +1,4 @@
-//! The task that makes exports. Two lanes, so that a small file does not wait for a long sequence of frames.
+//! The task that makes exports. It has two queues, so that a small file does not wait for a long sequence of frames.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use crate::store::{ClaimedExport, ExportedFile, StoreError};
 use relume_api::ExportId;
 use relume_api::exports::NewExport;
 
-/// Time between two looks when nobody asks for one.
+/// Time between two checks of the queue without a notification.
 const INTERVAL: Duration = Duration::from_secs(10);
 
 /// Makes exports until the server stops.
@@ -20,12 +20,12 @@ pub(in crate::server) async fn work(app: AppState) {
     tokio::join!(lane(&app, true), lane(&app, false));
 }
 
-/// Makes those of frames, or all others, one after another.
+/// Makes exports of frames, or all other exports, one after the other.
 async fn lane(app: &AppState, frames: bool) {
     while !app.stop.is_cancelled() {
-        // What was cancelled or has failed leaves its folder to this.
+        // Also removes the folders of cancelled and failed exports.
         if frames && let Err(error) = app.store.clear_export_folders().await {
-            tracing::error!(%error, "what exports left cannot be removed yet");
+            tracing::error!(%error, "cannot remove leftover files of exports yet");
         }
         match app.store.claim_export(frames, app.jobs.now_ms()).await {
             Ok(Some(export)) => {
@@ -34,7 +34,7 @@ async fn lane(app: &AppState, frames: bool) {
                 continue;
             }
             Ok(None) => {}
-            Err(error) => tracing::error!(%error, "exports cannot be made yet"),
+            Err(error) => tracing::error!(%error, "cannot claim exports yet"),
         }
         tokio::select! {
             () = app.stop.cancelled() => {}
@@ -44,7 +44,7 @@ async fn lane(app: &AppState, frames: bool) {
     }
 }
 
-/// Makes one, and writes down what came of it.
+/// Makes one export and records its result.
 async fn run(app: &AppState, export: ClaimedExport) {
     let id = export.record.id.clone();
     let token = app.stop.child_token();
@@ -55,7 +55,7 @@ async fn run(app: &AppState, export: ClaimedExport) {
         made = make(app, &export, &token) => made,
     };
     app.exports.end(&id);
-    // Whatever still works on it aside ends soon.
+    // Stops the remaining work on the export.
     token.cancel();
     let kept = match made {
         Ok(file) => publish(app, &id, file).await,
@@ -66,19 +66,19 @@ async fn run(app: &AppState, export: ClaimedExport) {
         Err(failed) => Err(failed),
     };
     if let Err(ExportError::Failed { code, detail }) = kept {
-        tracing::info!(export = %id, code, detail, "an export cannot be made");
+        tracing::info!(export = %id, code, detail, "an export failed");
         if let Err(error) = app.store.fail_export(&id, &code, &detail, app.jobs.now_ms()).await {
-            tracing::error!(%error, export = %id, "the next start makes an export again");
+            tracing::error!(%error, export = %id, "cannot record the failure of an export; the next start makes it again");
         }
     }
 }
 
-/// Keeps the file of one, once the object store is there.
+/// Publishes the file of an export, when the object store is reachable.
 async fn publish(app: &AppState, id: &ExportId, file: ExportedFile) -> Result<(), ExportError> {
     let busy_retry = BusyRetry::new();
     loop {
         match app.store.publish_export(id, file.clone(), app.jobs.now_ms()).await {
-            // The next server makes it again of what is there.
+            // The next server publishes it from the files in its folder.
             Err(StoreError::ArtifactsUnreachable(_)) if app.stop.is_cancelled() => return Ok(()),
             Err(error @ StoreError::ArtifactsUnreachable(_)) => busy_retry.wait(error.into()).await?,
             kept => return Ok(kept.map(drop)?),

@@ -1,5 +1,5 @@
-//! Makes sequences of frames. Each finished frame is a file in the work folder of its export, so that the next server goes on where
-//! this one was stopped.
+//! Exports of frames. Each finished frame is a file in the work folder of its export, so that the next server can continue after
+//! a stop.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,10 +18,10 @@ use relume_api::exports::{FramesExport, Package};
 use relume_spec::rendering::{Background, FrameFormat};
 use relume_train::render::{EncodeOptions, FrameView, Viewpoint};
 
-/// Frames a second of a video that states none.
+/// Frames per second of a video without a given rate.
 const FPS: u32 = 24;
 
-/// Makes the frames that are not there yet, and a zip or a video of all.
+/// Renders the missing frames, and makes a zip or a video of all.
 pub(super) async fn make(
     app: &AppState,
     export: &ExportRecord,
@@ -54,17 +54,17 @@ pub(super) async fn make(
         }
         names.push(name);
     }
-    // The disk holds both for a while; the tenant gets the one for the other.
+    // The disk contains both for a while; the quota of the tenant counts only one of them.
     app.store.admit_bytes(bytes).await?;
     package(app, export, spec, &folder, names, token).await
 }
 
-/// Name of the file of the `index`-th frame, from 0.
+/// File name of the frame with index `index`, from 0.
 fn frame_name(index: usize, format: FrameFormat) -> String {
     format!("{:04}.{}", index + 1, format.extension())
 }
 
-/// Where the cameras stand. A turntable takes that from the model, which is read for it.
+/// The views. A turntable depends on the model, which is then read.
 async fn views(
     app: &AppState,
     plan: &Arc<FramesPlan>,
@@ -77,7 +77,7 @@ async fn views(
     splats::with_model(app, source, 0, move |model| plan.views(&model).map_err(ExportError::from)).await
 }
 
-/// Renders and encodes one frame, once nobody else waits for one.
+/// Renders and encodes one frame when no other request waits for a frame.
 async fn frame(
     app: &AppState,
     model: &ModelSource,
@@ -107,7 +107,7 @@ async fn frame(
     }
 }
 
-/// Writes a file so that it is there whole or not at all; durable when this returns.
+/// Writes a file atomically. The file is durable on return.
 async fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let part = path.with_extension("part");
     let mut file = tokio::fs::File::create(&part).await?;
@@ -143,7 +143,7 @@ async fn package(
     }
 }
 
-/// Runs work that blocks.
+/// Runs blocking work.
 async fn run_blocking(
     work: impl FnOnce() -> Result<(), ExportError> + Send + 'static,
 ) -> Result<(), ExportError> {

@@ -7,10 +7,10 @@ use crate::worker::LightSource;
 use relume_api::TenantId;
 use relume_api::renders::EnvironmentSpec;
 
-/// The light of an export. One that came with the request would have to be kept until the export is made.
+/// The light of an export. Maps in the request are refused, because they would have to be stored until the export is made.
 ///
 /// # Errors
-/// 422 that names the field.
+/// 422, which names the field.
 pub(super) async fn light(
     app: &AppState,
     tenant: &TenantId,

@@ -1,7 +1,7 @@
 //! Exports: files that are made of models in the background.
 //!
-//! `routes.rs` checks and queues them, `exporter.rs` is the task that makes them: frames one at a time behind those that somebody looks
-//! at, other files beside that, one at a time, too.
+//! `routes.rs` checks and queues them. `exporter.rs` is the task that makes them: frames one at a time, with a lower priority
+//! than frames of other requests; other files concurrently, also one at a time.
 
 mod export_error;
 mod exporter;

@@ -1,4 +1,4 @@
-//! A sequence of frames as it was asked for: cameras, light, quality and finish, checked.
+//! A validated request for a sequence of frames: cameras, light, quality and encoding.
 
 use crate::camera_path::path_views;
 use crate::server::app::AppState;
@@ -13,18 +13,18 @@ use relume_scene::Model;
 use relume_spec::rendering::{Background, FrameFormat, Quality, ToneCurve, is_colour};
 use relume_train::render::{EncodeOptions, FrameMetadata, FrameView, Turntable, resized, rotate_light};
 
-/// Most frames of an export.
+/// Maximum number of frames of an export.
 const MOST_FRAMES: usize = 10_000;
-/// Sides of frames whose size nothing states, pixels.
+/// Size of frames without a given size, pixels.
 const SIZE: (u32, u32) = (512, 512);
-/// Most frames a second of a video.
+/// Maximum frames per second of a video.
 const MOST_FPS: u32 = 240;
 
-/// A sequence of frames, checked.
+/// A validated sequence of frames.
 pub(super) struct FramesPlan {
     pub(super) light: LightSource,
     pub(super) quality: Quality,
-    /// Of all frames; the notes lack what is of one.
+    /// The encoding of all frames, without the metadata of a single frame.
     pub(super) encoding: EncodeOptions,
     pub(super) format: FrameFormat,
     cameras: Cameras,
@@ -38,7 +38,7 @@ enum Cameras {
 
 impl FramesPlan {
     /// # Errors
-    /// 422 that names the field.
+    /// 422, which names the field.
     pub(super) async fn of(app: &AppState, tenant: &TenantId, spec: &FramesExport) -> Result<Self, Problem> {
         let cameras = cameras(spec)?;
         check_outputs(&spec.outputs, spec.format)?;
@@ -59,7 +59,7 @@ impl FramesPlan {
         Ok(Self { light, quality, encoding, format, cameras, environment_turn_deg })
     }
 
-    /// How many.
+    /// Number of frames.
     pub(super) fn frames(&self) -> usize {
         match &self.cameras {
             Cameras::Turntable(turntable) => turntable.frames as usize,
@@ -67,12 +67,12 @@ impl FramesPlan {
         }
     }
 
-    /// Whether the model says where cameras stand.
+    /// Whether the cameras depend on the model.
     pub(super) fn needs_model(&self) -> bool {
         matches!(self.cameras, Cameras::Turntable(_))
     }
 
-    /// The views of a path.
+    /// The views of a camera path.
     pub(super) fn path_views(&self) -> Vec<FrameView> {
         match &self.cameras {
             Cameras::Turntable(_) => Vec::new(),
@@ -80,10 +80,10 @@ impl FramesPlan {
         }
     }
 
-    /// The views, of `model` where they depend on it.
+    /// The views, of `model` if they depend on it.
     ///
     /// # Errors
-    /// 422 for a turntable without cameras.
+    /// 422 if a turntable has no valid cameras.
     pub(super) fn views(&self, model: &Model) -> Result<Vec<FrameView>, Problem> {
         let Cameras::Turntable(turntable) = &self.cameras else { return Ok(self.path_views()) };
         let refused = |error: relume_scene::CameraError| {
@@ -170,7 +170,7 @@ fn path(spec: &FramesExport, size: Option<(u32, u32)>) -> Result<Vec<FrameView>,
     Ok(views)
 }
 
-/// How frames become files. A video has no alpha: where nothing is, it shows white as a JPEG does.
+/// The encoding of frames. A video has no alpha, so its background is white as in a JPEG.
 fn finish(spec: &FramesExport) -> EncodeOptions {
     let shows_colour = spec.outputs.first().is_some_and(|output| is_colour(*output));
     let background = match (spec.background, spec.package) {

@@ -1,4 +1,4 @@
-//! Where requests and the exporter meet.
+//! The queue between requests and the exporter.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -10,12 +10,12 @@ use tokio_util::sync::CancellationToken;
 use crate::server::decoders::Decoders;
 use relume_api::ExportId;
 
-/// How exports are made.
+/// The policy for exports.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ExportPolicy {
-    /// The program that makes videos: a name to be looked for on PATH, or a path.
+    /// The program that makes videos: a name on PATH, or a path.
     pub ffmpeg: PathBuf,
-    /// Exports of a tenant that may wait or run.
+    /// Maximum number of queued and running exports of a tenant.
     pub each: u32,
 }
 
@@ -25,10 +25,10 @@ impl Default for ExportPolicy {
     }
 }
 
-/// What requests and the exporter share.
+/// The state that requests and the exporter share.
 pub(in crate::server) struct ExportQueue {
     pub(super) policy: ExportPolicy,
-    /// Threads that make files other than frames: neither those of the engine, nor those that read uploads.
+    /// Threads that make files other than frames, separate from those of the engine and of uploads.
     pub(super) file_threads: Decoders,
     frames: Notify,
     files: Notify,
@@ -36,28 +36,28 @@ pub(in crate::server) struct ExportQueue {
 }
 
 impl ExportQueue {
-    /// Nothing runs; `file_threads` are threads of its own.
+    /// An empty queue with `file_threads`.
     pub(in crate::server) fn new(policy: ExportPolicy, file_threads: Decoders) -> Self {
         Self { policy, file_threads, frames: Notify::new(), files: Notify::new(), running: Mutex::default() }
     }
 
-    /// Tells the exporter that there is something to do, or to clear away.
+    /// Wakes the exporter for new exports or for cleanup.
     pub(super) fn wake(&self) {
         self.frames.notify_one();
         self.files.notify_one();
     }
 
-    /// Ends when it was told so, since it was asked last.
+    /// Waits until the exporter is woken.
     pub(super) async fn wait_for_wake(&self, frames: bool) {
         if frames { self.frames.notified().await } else { self.files.notified().await }
     }
 
-    /// Notes that an export runs until `token` is cancelled.
+    /// Records that an export runs until `token` is cancelled.
     pub(super) fn begin(&self, id: &ExportId, token: CancellationToken) {
         self.running().insert(id.clone(), token);
     }
 
-    /// Notes that it runs no longer.
+    /// Records that an export no longer runs.
     pub(super) fn end(&self, id: &ExportId) {
         self.running().remove(id);
     }

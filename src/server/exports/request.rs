@@ -1,4 +1,4 @@
-//! From the body of a request to an export that can be made; a refusal names the field.
+//! Parses and checks the body of an export request. Errors name the field.
 
 use serde_json::Value;
 
@@ -11,10 +11,10 @@ use relume_api::TenantId;
 use relume_api::exports::{NewExport, SplatsExport};
 use relume_spec::rendering::{ExportedColour, MAX_BAKED_DEGREE};
 
-/// Reads a body by its `kind`.
+/// Parses a body according to its `kind`.
 ///
 /// # Errors
-/// 422 that names the field.
+/// 422, which names the field.
 pub(super) fn read(body: Value) -> Result<NewExport, Problem> {
     match body.get("kind").and_then(Value::as_str) {
         Some("frames") => extract::read(body).map(Box::new).map(NewExport::Frames),
@@ -24,10 +24,10 @@ pub(super) fn read(body: Value) -> Result<NewExport, Problem> {
     }
 }
 
-/// Refuses what cannot be made; how many steps it takes.
+/// Checks that an export can be made. Returns its number of steps.
 ///
 /// # Errors
-/// 422 that names the field.
+/// 422, which names the field.
 pub(super) async fn check(app: &AppState, tenant: &TenantId, export: &NewExport) -> Result<i64, Problem> {
     match export {
         NewExport::Frames(frames) => {
@@ -54,10 +54,10 @@ pub(super) async fn check(app: &AppState, tenant: &TenantId, export: &NewExport)
     }
 }
 
-/// What the colour shows; nothing where that is not stated.
+/// The colour to export; `None` if it is not given.
 ///
 /// # Errors
-/// 422 for a light that nothing shows.
+/// 422 for a light that the colour does not use.
 pub(super) fn shown(splats: &SplatsExport) -> Result<Option<ExportedColour>, Problem> {
     match (splats.layer, &splats.environment) {
         (layer, None) => Ok(layer),

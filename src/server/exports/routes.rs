@@ -23,9 +23,9 @@ use crate::store::{ExportDeletion, ExportRecord, ModelFile, StoreError, Submitte
 use relume_api::exports::{ExportState, ExportView, NewExport};
 use relume_api::{ExportId, List, ModelId, TenantId};
 
-/// Where exports are.
+/// Path of exports.
 const EXPORTS: &str = "/v1/exports";
-/// Largest body: ten thousand cameras.
+/// Maximum bytes of a body: ten thousand cameras.
 const BODY_LIMIT: usize = 8 << 20;
 
 /// The routes of this file.
@@ -202,7 +202,7 @@ async fn get_export_file(
     let file = file_of(export).ok_or_else(|| Problem::not_found("file of export", id.as_str()))?;
     let mut response = files::send(&app, &asked, &file, async || {
         match app.store.artifacts().verify(&file.artifact, &file.sha256).await {
-            // It was deleted meanwhile.
+            // The export was deleted in the meantime.
             Err(StoreError::Missing(_)) if app.store.export(&caller.tenant, &id).await?.is_none() => {
                 Err(Problem::not_found("export", id.as_str()))
             }
@@ -222,7 +222,7 @@ async fn find(app: &AppState, tenant: &TenantId, id: &ExportId) -> Result<Export
     app.store.export(tenant, id).await?.ok_or_else(missing)
 }
 
-/// The file of an export that has one.
+/// The file of a finished export.
 fn file_of(export: ExportRecord) -> Option<ModelFile> {
     Some(ModelFile {
         name: export.file_name?,

@@ -1,4 +1,4 @@
-//! Makes files of other programs.
+//! Exports of files for other programs.
 
 use crate::server::app::AppState;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
@@ -42,7 +42,7 @@ pub(super) async fn make(
     write(app, export, name, content_type, bytes).await
 }
 
-/// Makes a surface.
+/// Makes a file with a mesh.
 pub(super) async fn make_mesh(
     app: &AppState,
     export: &ExportRecord,
@@ -56,8 +56,8 @@ pub(super) async fn make_mesh(
     write(app, export, format!("{}-mesh.{extension}", export.model_id), content_type, bytes).await
 }
 
-/// Reads a model and works with it on threads of its own, with the memory borrowed that it takes; `cells` as in a mesh, 0 for
-/// anything else. The work goes on to its end when nobody waits for it any more.
+/// Reads a model and runs `work` on separate threads, with a permit for the memory. `cells` is the resolution of a mesh, 0 for
+/// other files. The work continues to its end even if the future is dropped.
 pub(super) async fn with_model<T: Send + 'static>(
     app: &AppState,
     source: &ModelSource,
@@ -83,7 +83,7 @@ pub(super) async fn with_model<T: Send + 'static>(
     made.await?
 }
 
-/// The model under a light.
+/// The model with colours under a light.
 fn relight(
     model: Model,
     light: &LightSource,
@@ -101,7 +101,7 @@ fn refused(error: SplatFileError) -> ExportError {
     ExportError::failed(error.to_string())
 }
 
-/// The file of a kind, its extension and its media type.
+/// The encoder of a kind, its extension and its media type.
 fn file_of(kind: ExportKind) -> (SplatFile, &'static str, &'static str) {
     match kind {
         ExportKind::Gltf | ExportKind::Mesh | ExportKind::Frames => {
@@ -124,7 +124,7 @@ fn layer_name(shown: ExportedColour) -> &'static str {
     }
 }
 
-/// Writes a file into the work folder, as far as the tenant may store it.
+/// Writes a file into the work folder, within the tenant's quota.
 async fn write(
     app: &AppState,
     export: &ExportRecord,

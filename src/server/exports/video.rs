@@ -1,4 +1,4 @@
-//! Frames as a video, by ffmpeg.
+//! Makes a video of frames with ffmpeg.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use crate::server::exports::export_error::ExportError;
 
-/// How often the program is looked after.
+/// Interval of checks of the process.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Where a program is: a path, or a name that is looked for on PATH.
+/// The path of a program: the path itself, or the first match of a name on PATH.
 pub(super) fn find(program: &Path) -> Option<PathBuf> {
     if program.components().count() > 1 {
         return program.is_file().then(|| program.to_owned());
@@ -19,10 +19,11 @@ pub(super) fn find(program: &Path) -> Option<PathBuf> {
     std::env::split_paths(&path).map(|folder| folder.join(program)).find(|file| file.is_file())
 }
 
-/// Makes an H.264 video of the frames `0001.EXTENSION` and on in `folder`. Equal frames make equal files with the same ffmpeg. Blocks.
+/// Makes an H.264 video of the frames `0001.EXTENSION` and following in `folder`. Equal frames give equal files with the same
+/// version of ffmpeg. Blocks.
 ///
 /// # Errors
-/// When ffmpeg is gone or fails, or `is_wanted` says no; it does not run any longer then.
+/// When ffmpeg is missing or fails, or `is_wanted` returns false. The process is then terminated.
 pub(super) fn encode(
     ffmpeg: &Path,
     folder: &Path,
@@ -48,7 +49,7 @@ pub(super) fn encode(
     command
         .args(["-framerate", &frames_per_second.to_string(), "-i"])
         .arg(folder.join(format!("%04d.{extension}")));
-    // Two threads leave the others to frames and trainings, and make the same bytes on any machine.
+    // Two threads leave processors for frames and trainings, and give the same bytes on any machine.
     command.args(["-an", "-c:v", "libx264", "-threads", "2", "-preset", "medium", "-crf", "18"]);
     command.args(["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-map_metadata", "-1"]);
     command.args(["-fflags", "+bitexact", "-flags:v", "+bitexact", "-f", "mp4"]).arg(to);
@@ -69,12 +70,12 @@ pub(super) fn encode(
     Err(ExportError::failed(format!("ffmpeg failed ({status}); its output is in the server's log")))
 }
 
-/// A program that ends when this goes.
+/// A process that is killed when this is dropped.
 struct ChildGuard(Child);
 
 impl Drop for ChildGuard {
     fn drop(&mut self) {
-        // Both fail only where it has ended already.
+        // Both calls fail only if the process has already ended.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }

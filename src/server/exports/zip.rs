@@ -1,4 +1,4 @@
-//! Frames as a zip.
+//! Makes a zip of frames.
 
 use std::fs::File;
 use std::io::{BufWriter, ErrorKind, Write};
@@ -7,10 +7,11 @@ use std::path::Path;
 use ::zip::CompressionMethod;
 use ::zip::write::SimpleFileOptions;
 
-/// Packs files of a folder in this order, as they are: images are compressed already. Equal files make equal zips. Blocks.
+/// Packs files of a folder in this order, without compression, because images are already compressed. Equal files give equal
+/// zips. Blocks.
 ///
 /// # Errors
-/// When a file cannot be read or written, or `is_wanted` says no.
+/// When a file cannot be read or written, or `is_wanted` returns false.
 pub(super) fn pack(
     folder: &Path,
     names: &[String],

@@ -1,4 +1,4 @@
-//! Asks for a file and reads it, within the bounds of a policy.
+//! Requests a file and reads it, within the limits of a policy.
 
 use axum::body::Bytes;
 use axum::http::{Request, StatusCode};
@@ -10,7 +10,7 @@ use crate::server::fetching::policy::{FetchOrigin, FetchPolicy};
 use crate::server::outbound::{self, Answer, OutboundTarget, Tls};
 use crate::server::problem::Problem;
 
-/// From where captures are fetched, and over which TLS.
+/// The policy for fetching, and TLS.
 pub(in crate::server) struct Fetcher {
     policy: FetchPolicy,
     tls: Tls,
@@ -21,7 +21,7 @@ impl Fetcher {
         Self { policy, tls: Tls::default() }
     }
 
-    /// Where a URL leads, if it may be fetched.
+    /// The target of a URL, if the policy permits it.
     pub(super) fn target(&self, url: &str) -> Result<OutboundTarget, Problem> {
         let refused = |why: &str| Problem::invalid_field("/url", why);
         let target = OutboundTarget::parse(url, true).map_err(|why| refused(&why))?;
@@ -36,7 +36,7 @@ impl Fetcher {
         }
     }
 
-    /// The answer with the file.
+    /// The response with the file.
     pub(super) async fn ask(&self, target: &OutboundTarget) -> Result<Answer, Problem> {
         let request = Request::builder().body(Empty::<Bytes>::new()).map_err(Problem::internal)?;
         let asked = outbound::ask(target, self.policy.allow_private, &self.tls, request);
@@ -52,7 +52,7 @@ impl Fetcher {
         }
     }
 
-    /// The bytes of the file, or why there are no more; for as long as the policy allows since `begun`.
+    /// The bytes of the file, or the reason why no more arrive, within the time limit since `begun`.
     pub(super) fn bytes(
         &self,
         answer: Answer,
@@ -72,7 +72,7 @@ impl Fetcher {
     }
 }
 
-/// A file that could not be fetched.
+/// The problem for a file that could not be fetched.
 pub(super) fn failed(why: &str) -> Problem {
     Problem::new(StatusCode::BAD_GATEWAY, "fetch-failed", "The server could not fetch the file").detail(why)
 }

@@ -1,4 +1,4 @@
-//! Captures that the server fetches itself, from where its operator lets it: no caller can make it reach anything else.
+//! Captures that the server fetches from other servers. Only origins that the operator permits can be reached.
 
 mod fetcher;
 mod policy;

@@ -1,20 +1,20 @@
-//! From where captures may be fetched.
+//! The policy for fetching captures.
 
 use std::str::FromStr;
 use std::time::Duration;
 
 use crate::server::outbound::OutboundTarget;
 
-/// From where captures may be fetched.
+/// The policy for fetching captures.
 #[derive(Debug, Clone)]
 pub struct FetchPolicy {
-    /// From these origins, and from nowhere else.
+    /// The permitted origins. All others are refused.
     pub origins: Vec<FetchOrigin>,
-    /// Whether their addresses may be other than public.
+    /// Whether their addresses may be private.
     pub allow_private: bool,
-    /// From the request to the last byte.
+    /// Timeout from the request to the last byte.
     pub timeout: Duration,
-    /// Longest time without a byte.
+    /// Timeout without new bytes.
     pub stall: Duration,
 }
 
@@ -25,8 +25,8 @@ impl Default for FetchPolicy {
     }
 }
 
-/// A scheme, a host and a port, e.g. `https://scans.example.org`. With `http://` anybody on the way may read and change what is
-/// fetched.
+/// A scheme, a host and a port, e.g. `https://scans.example.org`. With `http://` the transfer is neither encrypted nor protected
+/// against changes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FetchOrigin {
     is_https: bool,

@@ -1,4 +1,4 @@
-//! A file that is fetched, on its way to disk.
+//! Receives a fetched file to disk.
 
 use axum::http::header;
 use futures::StreamExt;
@@ -11,7 +11,7 @@ use crate::server::fetching::fetcher::failed;
 use crate::server::problem::Problem;
 use crate::store::StagedUpload;
 
-/// Fetches a file of at most `limit` bytes. After an error, and when the caller does not wait any more, nothing of it is left.
+/// Fetches a file of at most `limit` bytes. After an error, or if the future is dropped, nothing of it is left.
 pub(in crate::server) async fn receive(
     app: &AppState,
     caller: &Caller,

@@ -1,4 +1,4 @@
-//! Connections that the server makes itself, at the word of a caller: to an address that was checked, and to no other.
+//! Outbound connections that a caller requests. Only checked addresses are connected to.
 
 mod target;
 mod tls;
@@ -19,16 +19,17 @@ pub(super) use tls::Tls;
 
 const USER_AGENT: &str = concat!("relume/", env!("CARGO_PKG_VERSION"));
 
-/// An answer, and the connection that its body comes over.
+/// An answer with the connection of its body.
 pub(super) struct Answer {
     pub(super) response: Response<Incoming>,
     _connection: AbortOnDropHandle<Result<(), hyper::Error>>,
 }
 
-/// Sends a request to `target` over a connection of its own; its URI is the target's path. Nothing is followed.
+/// Sends a request to `target` over a new connection. The URI of the request is the path of the target. Redirects are not
+/// followed.
 ///
 /// # Errors
-/// Why there is no answer.
+/// The reason why there is no answer.
 pub(super) async fn ask<B>(
     target: &OutboundTarget,
     allow_private: bool,
@@ -39,7 +40,7 @@ where
     B: axum::body::HttpBody<Data = Bytes> + Send + 'static,
     B::Error: Into<Box<dyn Error + Send + Sync>>,
 {
-    // Looked up once: what was checked is what is connected to.
+    // The name is resolved once, so that the connected address is the checked one.
     let addresses = target.addresses(allow_private).await?;
     let connected = TcpStream::connect(addresses.as_slice()).await;
     let stream = connected.map_err(|error| format!("the connection failed: {error}"))?;

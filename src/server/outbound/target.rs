@@ -1,4 +1,4 @@
-//! Where a request may go: a URL that is whole, at an address that is public.
+//! Validation of outbound targets: an absolute URL with a public address.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
@@ -6,14 +6,14 @@ use axum::http::Uri;
 
 const LONGEST: usize = 2048;
 
-/// A URL, taken apart.
+/// A parsed URL.
 #[derive(Debug, PartialEq, Eq)]
 pub(in crate::server) struct OutboundTarget {
     pub(in crate::server) is_https: bool,
-    /// A name or an address, without brackets.
+    /// A name or an address without brackets.
     pub(in crate::server) host: String,
     pub(in crate::server) port: u16,
-    /// Host and port as they stand.
+    /// Host and port as written.
     pub(in crate::server) authority: String,
     /// Path and query.
     pub(in crate::server) path: String,
@@ -21,7 +21,7 @@ pub(in crate::server) struct OutboundTarget {
 
 impl OutboundTarget {
     /// # Errors
-    /// What is wrong with the URL.
+    /// The reason why the URL is invalid.
     pub(in crate::server) fn parse(url: &str, allow_http: bool) -> Result<Self, String> {
         let is_whole = |url: &&str| url.len() <= LONGEST && !url.contains('#');
         let uri: Option<Uri> = Some(url).filter(is_whole).and_then(|url| url.parse().ok());
@@ -38,7 +38,7 @@ impl OutboundTarget {
         let host = host.trim_start_matches('[').trim_end_matches(']');
         let port = match uri.port() {
             Some(port) => port.as_u16(),
-            // A port that is no number.
+            // The port is not a number.
             None if authority.trim_end_matches(']').rsplit(']').next().is_some_and(|a| a.contains(':')) => {
                 host.parse::<Ipv6Addr>().map_err(|_| "has an invalid port")?;
                 if is_https { 443 } else { 80 }
@@ -54,10 +54,11 @@ impl OutboundTarget {
         Ok(Self { is_https, host: host.to_owned(), port, authority: authority.to_owned(), path })
     }
 
-    /// Where it is now, looked up once: these are the addresses that may be connected to.
+    /// Resolves the host once. Only the returned addresses may be connected to.
     ///
     /// # Errors
-    /// When there are none, or one of them is not public. It does not say which: names of the inside are nobody's business.
+    /// If there are none, or if one of them is not public. The error does not distinguish the cases, so that it reveals no
+    /// internal names.
     pub(in crate::server) async fn addresses(&self, allow_private: bool) -> Result<Vec<SocketAddr>, String> {
         let found: Vec<SocketAddr> = match self.host.parse::<IpAddr>() {
             Ok(address) => vec![(address, self.port).into()],
@@ -74,7 +75,7 @@ impl OutboundTarget {
     }
 }
 
-/// Whether an address is one of the public internet: IANA's registries of special addresses, turned round.
+/// Whether an address belongs to the public internet: the complement of IANA's special-purpose registries.
 fn is_public(address: IpAddr) -> bool {
     match address {
         IpAddr::V4(address) => is_public_v4(address),
@@ -97,8 +98,8 @@ fn is_public_v4(address: Ipv4Addr) -> bool {
     !special
 }
 
-/// Of what is given out, 2000::/3, all but tunnels to other addresses and what is for documents. Addresses of IPv4 in
-/// disguise are outside of it.
+/// Allocated space, 2000::/3, except tunnels to other addresses and documentation prefixes. IPv4-mapped addresses are outside of
+/// it.
 fn is_public_v6(address: Ipv6Addr) -> bool {
     let [a, b, ..] = address.segments();
     let is_given_out = a & 0xe000 == 0x2000;

@@ -1,4 +1,4 @@
-//! TLS to other servers, with the certificate authorities of this machine.
+//! Outbound TLS with the certificate authorities of this machine.
 
 use std::sync::Arc;
 
@@ -9,17 +9,17 @@ use tokio_rustls::rustls::crypto::ring::default_provider;
 use tokio_rustls::rustls::pki_types::ServerName;
 use tokio_rustls::rustls::{ClientConfig, RootCertStore};
 
-/// What TLS needs; read from the machine when it is needed first.
+/// The TLS configuration, which is read from the machine at its first use.
 #[derive(Default)]
 pub(in crate::server) struct Tls {
     config: OnceCell<Arc<ClientConfig>>,
 }
 
 impl Tls {
-    /// TLS on a connection to `host`.
+    /// Starts TLS on a connection to `host`.
     ///
     /// # Errors
-    /// Why there is none.
+    /// The reason of the failure.
     pub(in crate::server) async fn over<S>(&self, stream: S, host: &str) -> Result<TlsStream<S>, String>
     where
         S: AsyncRead + AsyncWrite + Unpin,
@@ -36,7 +36,7 @@ async fn load() -> Result<Arc<ClientConfig>, String> {
     let found = tokio::task::spawn_blocking(rustls_native_certs::load_native_certs).await;
     let found = found.map_err(|error| error.to_string())?;
     for error in &found.errors {
-        tracing::warn!(%error, "certificate authorities cannot be read");
+        tracing::warn!(%error, "cannot read the certificate authorities");
     }
     let mut roots = RootCertStore::empty();
     roots.add_parsable_certificates(found.certs);

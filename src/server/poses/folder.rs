@@ -1,4 +1,4 @@
-//! The folders that COLMAP works in: one for each capture that is being made, in the data directory.
+//! The work folders of COLMAP in the data directory: one for each capture that is being made.
 
 use std::collections::HashSet;
 use std::io;
@@ -7,17 +7,17 @@ use std::path::{Path, PathBuf};
 use crate::store::{Store, StoreError};
 use relume_api::CaptureId;
 
-/// The folder of all of them.
+/// The parent of all work folders.
 const FOLDER: &str = "poses";
-/// COLMAP's output.
+/// The output of COLMAP.
 pub(super) const LOG: &str = "colmap.log";
 
-/// Where poses are found for a capture.
+/// The work folder of a capture.
 pub(super) fn of(store: &Store, id: &CaptureId) -> PathBuf {
     store.root().join(FOLDER).join(id.as_str())
 }
 
-/// Removes what was needed to make a capture: all of it, but for the log where none could be made and somebody may read why.
+/// Removes the work folder of a capture; after a failure, everything except the log, which can still be read.
 pub(in crate::server) async fn clean_up(store: &Store, id: &CaptureId, failed: bool) {
     let folder = of(store, id);
     let kept = failed && matches!(tokio::task::spawn_blocking(move || keep_log(&folder)).await, Ok(Ok(())));
@@ -26,7 +26,7 @@ pub(in crate::server) async fn clean_up(store: &Store, id: &CaptureId, failed: b
     }
 }
 
-/// Leaves nothing but the log.
+/// Removes everything except the log.
 fn keep_log(folder: &Path) -> io::Result<()> {
     for entry in std::fs::read_dir(folder)? {
         let path = entry?.path();
@@ -39,22 +39,22 @@ fn keep_log(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Removes the folder of a capture; that there is none is no error.
+/// Removes the work folder of a capture. A missing folder is not an error.
 pub(in crate::server) async fn remove_folder(store: &Store, id: &CaptureId) {
     let folder = of(store, id);
     let removed = tokio::task::spawn_blocking(move || remove(&folder)).await;
     if let Err(error) = removed.unwrap_or_else(|error| Err(io::Error::other(error))) {
-        tracing::warn!(%error, capture = %id, "what COLMAP left is removed later");
+        tracing::warn!(%error, capture = %id, "cannot remove the work folder of COLMAP yet");
     }
 }
 
-/// Removes the folders of captures that are not being made any longer.
+/// Removes the work folders of captures that are no longer being made.
 ///
 /// # Errors
 /// When the database fails.
 pub(in crate::server) async fn remove_leftovers(store: &Store) -> Result<(), StoreError> {
     let root = store.root().join(FOLDER);
-    // Listed before the database is asked: what is entered later has no folder yet.
+    // The folders are listed before the database is queried, so the work folder of a later capture is not in the list.
     let found = match std::fs::read_dir(&root) {
         Ok(entries) => entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()),
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -68,7 +68,7 @@ pub(in crate::server) async fn remove_leftovers(store: &Store) -> Result<(), Sto
     Ok(())
 }
 
-/// Removes a folder; that there is none is no error.
+/// Removes a folder. A missing folder is not an error.
 fn remove(folder: &Path) -> io::Result<()> {
     match std::fs::remove_dir_all(folder) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),

@@ -18,7 +18,7 @@ use crate::server::problem::Problem;
 use relume_api::CaptureId;
 use relume_capture::CaptureFiles;
 
-/// Most bytes of a log that are kept and sent: its end.
+/// Maximum bytes of a log that are kept and sent, from its end.
 const LONGEST: u64 = 1 << 20;
 
 /// The routes of this file.
@@ -60,7 +60,7 @@ async fn get_log(
             app.store.upload_of_capture(&caller.tenant, &id).await?.ok_or_else(missing)?;
             let folder = folder::of(&app.store, &id);
             let read = tokio::task::spawn_blocking(move || log_tail(&folder)).await;
-            // It is not there before COLMAP begins.
+            // The log does not exist before COLMAP starts.
             read.map_err(Problem::internal)?.unwrap_or_default()
         }
     };
@@ -69,7 +69,7 @@ async fn get_log(
     Ok((kind, text).into_response())
 }
 
-/// The end of the log in a folder, without the name of that folder: where the server keeps things is its own affair.
+/// The end of the log in a folder, without the path of that folder, which clients must not see.
 pub(super) fn log_tail(folder: &Path) -> io::Result<String> {
     let mut file = File::open(folder.join(LOG))?;
     let length = file.metadata()?.len();
@@ -79,7 +79,7 @@ pub(super) fn log_tail(folder: &Path) -> io::Result<String> {
     Ok(redact_folder(&String::from_utf8_lossy(&bytes), folder))
 }
 
-/// A text without the name of a folder of the server.
+/// A text without the path of a folder of the server.
 pub(super) fn redact_folder(text: &str, folder: &Path) -> String {
     let whole = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let names = [whole, folder.to_owned()].map(|path| path.display().to_string());

@@ -1,4 +1,4 @@
-//! Poses for photographs that come without: a stage of the validation of a capture.
+//! Pose estimation for photographs without poses: a stage of the validation of a capture.
 
 mod folder;
 mod log;

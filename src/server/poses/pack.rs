@@ -1,4 +1,4 @@
-//! A folder with photographs and their poses as the bytes of a tar.
+//! Packs a folder with photographs and their poses into a tar.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -10,11 +10,11 @@ use tokio::sync::mpsc;
 
 use super::folder::LOG;
 
-/// Bytes that are sent at once.
+/// Bytes per chunk.
 const CHUNK: usize = 1 << 18;
-/// Chunks that wait for whoever takes them.
+/// Maximum number of chunks in the channel.
 const WAITING: usize = 4;
-/// What of the folder is part of the capture.
+/// The parts of the folder that belong to the capture.
 const PARTS: [&str; 3] = ["images", "masks", "sparse"];
 
 /// The capture in `folder` as a tar: photographs, masks, sparse model and `log`. The same files give the same bytes.
@@ -23,7 +23,7 @@ pub(super) fn tar(folder: PathBuf, log: String) -> impl Stream<Item = io::Result
     tokio::task::spawn_blocking(move || {
         let mut chunks = Chunks { send: send.clone(), buffer: Vec::new() };
         if let Err(error) = write(&folder, &log, &mut chunks).and_then(|()| chunks.flush()) {
-            // Nobody listens where the receiver has ended.
+            // The receiver may have ended.
             let _ = send.blocking_send(Err(error));
         }
     });
@@ -51,7 +51,7 @@ fn write(folder: &Path, log: &str, to: &mut Chunks) -> io::Result<()> {
     tar.finish()
 }
 
-/// Every file under a folder that need not be there, sorted.
+/// All files under an optional folder, sorted.
 fn files_below(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let (mut files, mut open) = (Vec::new(), vec![folder.to_owned()]);
     while let Some(folder) = open.pop().filter(|folder| folder.is_dir()) {
@@ -64,7 +64,7 @@ fn files_below(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Sends what is written in chunks.
+/// Sends the written bytes in chunks.
 struct Chunks {
     send: mpsc::Sender<io::Result<Bytes>>,
     buffer: Vec<u8>,

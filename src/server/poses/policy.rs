@@ -1,4 +1,4 @@
-//! What the operator lets the server do about photographs without poses.
+//! The policy for photographs without poses.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -6,23 +6,23 @@ use std::time::Duration;
 use crate::server::memory::default_budget;
 use relume_capture::poses::PoseOptions;
 
-/// Whether and how poses are found.
+/// Whether and how the server finds poses.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PosesPolicy {
-    /// Whether they are looked for where COLMAP is installed.
+    /// Whether poses are found if COLMAP is installed.
     pub is_on: bool,
-    /// COLMAP's program: a name to be looked for on PATH, or a path.
+    /// The program COLMAP: a name on PATH, or a path.
     pub program: PathBuf,
-    /// How long COLMAP may work on one capture, all stages together. After a restart of the server it begins anew.
+    /// Time limit of COLMAP for one capture, all stages together. It restarts with the server.
     pub timeout: Duration,
-    /// Threads of COLMAP; as many as there are processors when absent.
+    /// Threads of COLMAP; `None` for the number of processors.
     pub threads: Option<u32>,
-    /// Bytes of memory that COLMAP may take; half of the machine's or the container's when absent.
+    /// Memory limit of COLMAP, bytes; `None` for half of the memory of the machine or container.
     pub memory: Option<u64>,
 }
 
 impl Default for PosesPolicy {
-    /// Off.
+    /// Pose estimation is off.
     fn default() -> Self {
         Self {
             is_on: false,
@@ -35,7 +35,7 @@ impl Default for PosesPolicy {
 }
 
 impl PosesPolicy {
-    /// What COLMAP is told. It makes way for trainings and frames.
+    /// The options of COLMAP. It runs with lower priority than trainings and frames.
     pub(super) fn options(&self) -> PoseOptions {
         PoseOptions {
             program: self.program.clone(),

@@ -1,4 +1,4 @@
-//! Which captures poses are being found for, how far each is, and who waits for its turn.
+//! The captures whose poses are being found, with their progress, and the queue for COLMAP.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,12 +12,12 @@ use relume_api::CaptureId;
 use relume_api::captures::{PosesProgress, PosesStage};
 use relume_capture::poses::{PoseProgress, PoseStage, colmap_version};
 
-/// The work on all captures.
+/// The state of pose estimation for all captures.
 pub(in crate::server) struct PoseQueue {
     pub(super) policy: PosesPolicy,
-    /// Why COLMAP cannot be used, once that is known.
+    /// Whether COLMAP can be used or the reason why not, after the first check.
     availability: OnceCell<Result<(), String>>,
-    /// COLMAP takes all processors, so that there is one at a time.
+    /// COLMAP uses all processors, so only one process runs at a time.
     colmap_permit: Arc<Semaphore>,
     active: Arc<Mutex<HashMap<CaptureId, ActiveCapture>>>,
 }
@@ -28,7 +28,7 @@ struct ActiveCapture {
     cancelled: CancellationToken,
 }
 
-/// Work on one capture, until this is dropped.
+/// The pose estimation of one capture, until this is dropped.
 pub(in crate::server) struct PoseJob {
     id: CaptureId,
     active: Arc<Mutex<HashMap<CaptureId, ActiveCapture>>>,
@@ -41,7 +41,7 @@ impl PoseQueue {
         Self { policy, availability: OnceCell::new(), colmap_permit, active: Arc::default() }
     }
 
-    /// Whether poses can be found here, or why not. COLMAP is tried once in the life of a server.
+    /// Checks whether poses can be found, and returns the reason if not. COLMAP is tested once per server process.
     pub(super) async fn check_available(&self) -> Result<(), String> {
         if !self.policy.is_on {
             return Err("pose estimation is off (--poses off)".to_owned());
@@ -61,20 +61,20 @@ impl PoseQueue {
         self.availability.get_or_init(try_it).await.clone()
     }
 
-    /// Says in the log whether photographs without poses are taken.
+    /// Logs whether photographs without poses are accepted.
     pub(in crate::server) async fn log_availability(&self) {
         match self.check_available().await {
-            Ok(()) => tracing::info!("photographs without poses are taken"),
+            Ok(()) => tracing::info!("photographs without poses are accepted"),
             Err(reason) => tracing::info!(reason, "photographs without poses are refused"),
         }
     }
 
-    /// How far a capture is that poses are being found for.
+    /// The progress of the pose estimation of a capture.
     pub(in crate::server) fn progress(&self, id: &CaptureId) -> Option<PosesProgress> {
         lock(&self.active).get(id).map(|active| active.progress)
     }
 
-    /// Ends the work on a capture soon; `false` where there is none.
+    /// Cancels the pose estimation of a capture; `false` if there is none.
     pub(in crate::server) fn cancel(&self, id: &CaptureId) -> bool {
         let active = lock(&self.active).get(id).cloned();
         active.is_some_and(|active| {
@@ -83,7 +83,7 @@ impl PoseQueue {
         })
     }
 
-    /// Enters a capture, which waits from now on.
+    /// Adds a capture to the queue.
     pub(in crate::server) fn enqueue(&self, id: &CaptureId) -> PoseJob {
         let cancelled = CancellationToken::new();
         let progress = PosesProgress { stage: PosesStage::Waiting, done: 0.0 };
@@ -91,25 +91,25 @@ impl PoseQueue {
         PoseJob { id: id.clone(), active: self.active.clone(), cancelled }
     }
 
-    /// Waits until COLMAP works on nothing else.
+    /// Waits for the permit to run COLMAP.
     ///
     /// # Errors
-    /// Never while the server runs.
+    /// Not while the server runs.
     pub(super) async fn colmap_permit(&self) -> Result<OwnedSemaphorePermit, Problem> {
         self.colmap_permit.clone().acquire_owned().await.map_err(Problem::internal)
     }
 
-    /// Waits until COLMAP has ended, which the end of the server makes it do.
+    /// Waits until COLMAP has ended, which a shutdown of the server causes.
     pub(in crate::server) async fn idle(&self) {
         let _ = self.colmap_permit.acquire().await;
     }
 }
 
 impl PoseJob {
-    /// Writes down how far the work is.
+    /// Records the progress.
     pub(super) fn set_progress(&self, PoseProgress { stage, done, total }: PoseProgress) {
         let stage = match stage {
-            // Frames of a clip come before photographs.
+            // Frames are extracted from a clip before the photographs are processed.
             PoseStage::Frames | PoseStage::Features => PosesStage::Features,
             PoseStage::Matching => PosesStage::Matching,
             PoseStage::Mapping => PosesStage::Placing,
@@ -130,6 +130,6 @@ impl Drop for PoseJob {
 fn lock(
     active: &Mutex<HashMap<CaptureId, ActiveCapture>>,
 ) -> std::sync::MutexGuard<'_, HashMap<CaptureId, ActiveCapture>> {
-    // Each change of it is one that cannot panic halfway.
+    // No change of the map can panic halfway, so a poisoned lock is still valid.
     active.lock().unwrap_or_else(PoisonError::into_inner)
 }

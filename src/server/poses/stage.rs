@@ -1,4 +1,4 @@
-//! The stage itself: from an upload of photographs to one of a capture.
+//! The pose estimation stage: turns an upload of photographs into an upload of a capture.
 
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -20,14 +20,14 @@ use relume_api::{CaptureId, TenantId};
 use relume_capture::poses::{PoseError, RunControl, find_poses};
 use relume_capture::{ImportLimits, PhotosWithoutPoses};
 
-/// Whether an upload is one of photographs without poses, and this server finds them.
+/// Whether an upload has photographs without poses and this server can find them.
 pub(in crate::server) async fn needs_poses(app: &AppState, incoming: &StagedUpload) -> Result<bool, Problem> {
     Ok(app.poses.policy.is_on
         && are_photographs(app, incoming).await?
         && app.poses.check_available().await.is_ok())
 }
 
-/// Why this server finds no poses for an upload; `None` where it is not one of photographs without poses.
+/// The reason why this server finds no poses for an upload; `None` if the photographs have poses.
 pub(in crate::server) async fn refusal(
     app: &AppState,
     incoming: &StagedUpload,
@@ -43,12 +43,12 @@ pub(in crate::server) async fn refusal(
 
 async fn are_photographs(app: &AppState, incoming: &StagedUpload) -> Result<bool, Problem> {
     let (path, limits) = (incoming.path.clone(), app.import_limits);
-    // What cannot be opened is refused by the validation, with its reason.
+    // An upload that cannot be opened is refused by the validation, which gives the reason.
     app.decoders.run(move || matches!(PhotosWithoutPoses::open(&path, &limits), Ok(Some(_)))).await
 }
 
-/// Finds the poses of the photographs of an upload: gives the posed capture in its place. What COLMAP makes on the way is kept for
-/// the next server where this one ends, and its log where it fails.
+/// Finds the poses of the photographs of an upload. Returns the posed capture in its place. If the server stops, the intermediate
+/// files are kept for the next server; after a failure the log is kept.
 pub(in crate::server) async fn find(
     app: &AppState,
     tenant: &TenantId,
@@ -56,7 +56,7 @@ pub(in crate::server) async fn find(
     photographs: StagedUpload,
     pose_job: PoseJob,
 ) -> Result<StagedUpload, Problem> {
-    // What could not be stored in the end is not begun.
+    // If the result could not be stored, the estimation is not started.
     app.store.admit_bytes_of(tenant, photographs.bytes).await?;
     app.store.admit_bytes(photographs.bytes).await?;
     let pose_job = Arc::new(pose_job);
@@ -86,12 +86,12 @@ pub(in crate::server) async fn find(
     Ok(received?.replacing(photographs))
 }
 
-/// What runs on a thread that may block.
+/// The part of the stage that runs on a blocking thread.
 struct PoseTask {
     app: AppState,
     folder: std::path::PathBuf,
     pose_job: Arc<PoseJob>,
-    /// Held until COLMAP has ended, not only while somebody waits for it.
+    /// Held until COLMAP has ended, even if the caller no longer waits.
     colmap_permit: OwnedSemaphorePermit,
     stop: CancellationToken,
 }
@@ -114,7 +114,8 @@ impl PoseTask {
     }
 }
 
-/// Writes what a gzipped archive holds to `plain`: it would be in memory for as long as COLMAP works. `false` for others.
+/// Decompresses a gzipped archive to `plain`, because it would otherwise stay in memory while COLMAP runs. `false` for other
+/// archives.
 fn unpack(upload: &Path, plain: &Path, limit: u64) -> Result<bool, PoseError> {
     let work = || {
         let mut magic = Vec::new();
@@ -124,14 +125,14 @@ fn unpack(upload: &Path, plain: &Path, limit: u64) -> Result<bool, PoseError> {
         }
         plain.parent().map_or(Ok(()), std::fs::create_dir_all)?;
         let unpacked = MultiGzDecoder::new(BufReader::new(File::open(upload)?));
-        // It was opened before within this bound.
+        // The size was checked before.
         std::io::copy(&mut unpacked.take(limit), &mut File::create(plain)?)?;
         Ok(true)
     };
     work().map_err(|source| PoseError::Io { file: plain.to_owned(), source })
 }
 
-/// Why there are no poses, for whoever sent the photographs.
+/// The problem that the sender of the photographs receives.
 fn told(error: &PoseError, folder: &Path) -> Problem {
     let detail = match error {
         PoseError::TooFewPlaced { placed, photographs, .. } => format!(

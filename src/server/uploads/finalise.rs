@@ -1,4 +1,4 @@
-//! Complete uploads, for those who make something of them.
+//! Access to complete uploads for other handlers.
 
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
@@ -7,7 +7,7 @@ use crate::server::uploads::finding::find_locked;
 use crate::store::StagedUpload;
 use relume_api::UploadId;
 
-/// The bytes of the complete upload that a body names.
+/// The bytes of the complete upload in a body.
 pub(in crate::server) async fn finalise(
     app: &AppState,
     caller: &Caller,

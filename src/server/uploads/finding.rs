@@ -1,4 +1,4 @@
-//! Finds the upload that a request is about.
+//! Finds the upload of a request.
 
 use axum::http::StatusCode;
 
@@ -8,16 +8,16 @@ use crate::server::problem::Problem;
 use crate::store::{UploadLock, UploadRecord};
 use relume_api::UploadId;
 
-/// The media type of a piece.
+/// The media type of a chunk.
 pub(super) const PIECE: &str = "application/offset+octet-stream";
 
-/// When an upload expires to which nothing more comes from now on.
+/// The expiry time of an upload if no more bytes arrive.
 pub(in crate::server) fn expiry(app: &AppState) -> i64 {
     let life = i64::try_from(app.upload_limits.life.as_millis()).unwrap_or(i64::MAX);
     app.jobs.now_ms().saturating_add(life)
 }
 
-/// The upload of the caller's tenant.
+/// An upload of the caller's tenant.
 pub(super) async fn find(app: &AppState, caller: &Caller, id: &UploadId) -> Result<UploadRecord, Problem> {
     let missing = || Problem::not_found("upload", id.as_str());
     let upload = app.store.upload(&caller.tenant, id).await?.ok_or_else(missing)?;
@@ -28,7 +28,7 @@ pub(super) async fn find(app: &AppState, caller: &Caller, id: &UploadId) -> Resu
     Ok(upload)
 }
 
-/// The same for this request alone, as it is now.
+/// An upload of the caller's tenant, locked for this request.
 pub(super) async fn find_locked(
     app: &AppState,
     caller: &Caller,

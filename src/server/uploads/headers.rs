@@ -1,4 +1,4 @@
-//! The headers of the tus protocol: their names, and how they are read and written.
+//! The headers of the tus protocol.
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use base64::Engine as _;
@@ -22,10 +22,10 @@ const CHECKSUM: HeaderName = HeaderName::from_static("upload-checksum");
 const DEFER: HeaderName = HeaderName::from_static("upload-defer-length");
 const CONCAT: HeaderName = HeaderName::from_static("upload-concat");
 
-/// Most bytes of what an uploader may say of an upload.
+/// Maximum bytes of `Upload-Metadata`.
 const METADATA_BYTES: usize = 4096;
 
-/// 400 that names a header.
+/// 400, which names a header.
 pub(super) fn wrong(name: &str, detail: impl Into<String>) -> Problem {
     let (pointer, detail) = (format!("header/{name}"), detail.into());
     let mut problem = Problem::new(StatusCode::BAD_REQUEST, "invalid-header", "A header is invalid")
@@ -38,16 +38,16 @@ fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
     headers.get(name).and_then(|value| value.to_str().ok())
 }
 
-/// A header that is a number of bytes.
+/// The value of a header in bytes.
 fn bytes(headers: &HeaderMap, name: &HeaderName, shown: &str) -> Result<u64, Problem> {
     let digits = |t: &&str| !t.is_empty() && t.bytes().all(|c| c.is_ascii_digit());
     let number = text(headers, name).filter(digits).and_then(|t| t.parse().ok());
-    // Nothing is longer than what the database can count.
+    // The database cannot count larger uploads.
     let number = number.filter(|n| *n <= i64::MAX as u64);
     number.ok_or_else(|| wrong(shown, "is required and must be a whole number of bytes"))
 }
 
-/// The length of an upload that begins.
+/// The length of a new upload.
 pub(super) fn length(headers: &HeaderMap) -> Result<u64, Problem> {
     for (name, shown) in [(DEFER, "Upload-Defer-Length"), (CONCAT, "Upload-Concat")] {
         if headers.contains_key(name) {
@@ -57,12 +57,12 @@ pub(super) fn length(headers: &HeaderMap) -> Result<u64, Problem> {
     bytes(headers, &LENGTH, "Upload-Length")
 }
 
-/// Where a piece begins.
+/// The offset of a chunk.
 pub(super) fn offset(headers: &HeaderMap) -> Result<u64, Problem> {
     bytes(headers, &OFFSET, "Upload-Offset")
 }
 
-/// What an uploader says of an upload, as it was sent.
+/// `Upload-Metadata`, as sent.
 pub(super) fn metadata(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     if !headers.contains_key(METADATA) {
         return Ok(None);
@@ -82,14 +82,14 @@ pub(super) fn metadata(headers: &HeaderMap) -> Result<Option<String>, Problem> {
         .ok_or_else(|| refused("must be keys and Base64 values, e.g. filename Yy56aXA=,filetype YQ=="))
 }
 
-/// The file name among what an uploader said.
+/// The file name in `Upload-Metadata`.
 pub(super) fn filename(metadata: &str) -> Option<String> {
     let pairs = metadata.split(',').filter_map(|pair| pair.trim().split_once(' '));
     let (_, value) = pairs.into_iter().find(|(key, _)| *key == "filename")?;
     String::from_utf8(STANDARD.decode(value).ok()?).ok()
 }
 
-/// What a piece must hash to.
+/// The expected checksum of a chunk.
 pub(super) fn checksum(headers: &HeaderMap) -> Result<Option<Checksum>, Problem> {
     let Some(value) = headers.get(CHECKSUM) else { return Ok(None) };
     let (algorithm, digest) = value.to_str().ok().and_then(|t| t.split_once(' ')).unwrap_or(("", ""));
@@ -101,7 +101,7 @@ pub(super) fn checksum(headers: &HeaderMap) -> Result<Option<Checksum>, Problem>
     }
 }
 
-/// Says where an upload is and until when it is kept.
+/// Writes offset, length and expiry time of an upload.
 pub(super) fn write_headers(headers: &mut HeaderMap, upload: &UploadRecord) {
     headers.insert(OFFSET, HeaderValue::from(upload.offset()));
     if let Ok(until) = HeaderValue::from_str(&http_date(upload.expires_ms)) {
@@ -109,7 +109,7 @@ pub(super) fn write_headers(headers: &mut HeaderMap, upload: &UploadRecord) {
     }
 }
 
-/// A time as HTTP writes it (RFC 9110, IMF-fixdate).
+/// A time in the format of HTTP (RFC 9110, IMF-fixdate).
 fn http_date(ms: i64) -> String {
     let time = jiff::Timestamp::from_millisecond(ms).unwrap_or_default();
     time.strftime("%a, %d %b %Y %H:%M:%S GMT").to_string()

@@ -31,7 +31,7 @@ pub(super) use finalise::finalise;
 pub(super) use finding::expiry;
 pub(super) use protocol::advertise;
 
-/// The routes of this file that take no pieces.
+/// The routes of this file that accept no chunks.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(describe_protocol, list_uploads))
@@ -39,7 +39,7 @@ pub(super) fn routes() -> OpenApiRouter<AppState> {
         .layer(middleware::from_fn(protocol::check_version))
 }
 
-/// The routes of this file that take pieces.
+/// The routes of this file that accept chunks.
 pub(super) fn uploads() -> OpenApiRouter<AppState> {
     OpenApiRouter::new()
         .routes(routes!(create_upload))
@@ -288,7 +288,7 @@ async fn delete_upload(
     UrlPath(id): UrlPath<UploadId>,
 ) -> Result<StatusCode, Problem> {
     let upload = find(&app, &caller, &id).await?;
-    // Whose poses are being found is deleted as a capture is.
+    // An upload whose poses are being found is deleted as a capture.
     if let Some(capture) = upload.capture_id.filter(|capture| app.poses.progress(capture).is_some()) {
         return deletion::delete_unfinished_capture(&app, &caller, capture).await;
     }

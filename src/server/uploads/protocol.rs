@@ -1,4 +1,4 @@
-//! What every answer about an upload says of the protocol, and the version that every request must speak.
+//! The tus protocol: its version check, and the headers of every answer.
 
 use axum::extract::{Request, State};
 use axum::http::{HeaderValue, Method, StatusCode};
@@ -13,7 +13,7 @@ const EXTENSIONS: HeaderValue =
     HeaderValue::from_static("creation,creation-with-upload,checksum,expiration,termination");
 const CHECKSUMS: HeaderValue = HeaderValue::from_static("sha1,sha256");
 
-/// Refuses requests of another version. `GET` and `OPTIONS` need not name one: the first is not part of the protocol.
+/// Refuses requests of other versions. `GET` and `OPTIONS` need no version; `GET` is not part of the protocol.
 pub(super) async fn check_version(request: Request, next: Next) -> Response {
     let needs_none = matches!(*request.method(), Method::GET | Method::OPTIONS);
     let mut response = match request.headers().get(RESUMABLE) {
@@ -31,7 +31,7 @@ pub(super) async fn check_version(request: Request, next: Next) -> Response {
     response
 }
 
-/// Says what of the protocol is spoken in answers to `OPTIONS`, also to those that CORS gives by itself. `most` is the largest
+/// Adds the supported extensions to answers to `OPTIONS`, including those of the CORS layer. `most` is the maximum size of an
 /// upload.
 pub(in crate::server) async fn advertise(State(most): State<u64>, request: Request, next: Next) -> Response {
     let is_asked = request.method() == Method::OPTIONS && request.uri().path() == "/v1/uploads";

@@ -1,4 +1,4 @@
-//! Pieces of uploads as they come in.
+//! Receives chunks of uploads.
 
 use axum::extract::Request;
 use axum::http::StatusCode;
@@ -14,7 +14,7 @@ use crate::server::uploads::headers;
 use crate::store::{Checksum, Piece, StoreError, UploadLock, UploadRecord};
 use relume_api::UploadId;
 
-/// Takes the piece that a request brings; the upload as it is then.
+/// Appends the chunk in a request. Returns the updated upload.
 pub(super) async fn piece(
     app: &AppState,
     caller: &Caller,
@@ -35,7 +35,8 @@ pub(super) async fn piece(
     append(app, caller, lock, upload, checksum, request).await
 }
 
-/// Takes the piece that came with an upload's creation. Nothing is left of the upload when that fails: nobody was told its name.
+/// Appends the chunk in the request that creates an upload. If this fails, the upload is removed, because the client does not
+/// know its identifier.
 pub(super) async fn first_piece(
     app: &AppState,
     caller: &Caller,
@@ -69,7 +70,7 @@ async fn append(
         return Err(Problem::too_large(left));
     }
     let (app, body) = (app.clone(), request.into_body().into_data_stream());
-    // On a task of its own: what arrived is kept, also when the caller's connection and this request with it end.
+    // A separate task, so that received bytes are kept even if the connection of the caller ends.
     let appending = tokio::spawn(async move {
         let mut stalled = false;
         let body = body.inspect_err(|error| stalled = caused_by::<TimeoutError>(error));

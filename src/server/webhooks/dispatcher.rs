@@ -1,4 +1,4 @@
-//! Sends what is due, one message at a time to each webhook and to several webhooks at once.
+//! Sends due messages: one at a time to each webhook, and concurrently to several webhooks.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -16,16 +16,16 @@ use crate::server::webhooks::signature::sign;
 use crate::store::{DeliveryAttempt, DeliveryRecord, StoreError};
 use relume_api::WebhookId;
 
-/// Time between two looks at what is due.
+/// Time between two queries for due messages.
 const POLL: Duration = Duration::from_millis(500);
-/// Webhooks that are sent to at once.
+/// Maximum number of webhooks that are sent to concurrently.
 const MAX_CONCURRENT_WEBHOOKS: usize = 32;
-/// Time between two attempts to write down what came of one, e.g. on a full disk.
+/// Delay between two attempts to record a result, e.g. on a full disk.
 const RECORD_RETRY_INTERVAL: Duration = Duration::from_secs(10);
-/// Time between two looks for messages that are forgotten.
+/// Interval of the deletion of old messages, milliseconds.
 const PRUNE_INTERVAL_MS: i64 = 3_600_000;
 
-/// Sends messages until it is stopped. What it has not written down as delivered is sent again by the next one.
+/// Sends messages until it is stopped. A message whose delivery is not recorded is sent again by the next server.
 #[derive(Clone)]
 pub(in crate::server) struct WebhookDispatcher {
     jobs: Jobs,
@@ -38,14 +38,14 @@ impl WebhookDispatcher {
         Self { jobs, policy, tls: Arc::default() }
     }
 
-    /// Works until `stop` is cancelled; messages that are under way then are broken off.
+    /// Runs until `stop` is cancelled, which also aborts messages in progress.
     pub(in crate::server) async fn run(self, stop: CancellationToken) {
         let mut under_way = JoinSet::new();
         let mut busy: HashMap<Id, WebhookId> = HashMap::new();
         let mut forgot_ms = i64::MIN;
         loop {
             let due = self.due_deliveries(&mut forgot_ms).await.unwrap_or_else(|error| {
-                tracing::error!(%error, "it cannot be read what webhooks are to be sent");
+                tracing::error!(%error, "cannot read the due messages of webhooks");
                 Vec::new()
             });
             for delivery in due {
@@ -68,7 +68,7 @@ impl WebhookDispatcher {
         under_way.shutdown().await;
     }
 
-    /// What is due; now and then, what is old is forgotten.
+    /// The due messages. Periodically deletes old messages.
     async fn due_deliveries(&self, forgot_ms: &mut i64) -> Result<Vec<DeliveryRecord>, StoreError> {
         let (store, now_ms) = (self.jobs.store(), self.jobs.now_ms());
         if now_ms.saturating_sub(*forgot_ms) >= PRUNE_INTERVAL_MS {
@@ -78,7 +78,7 @@ impl WebhookDispatcher {
         store.due_deliveries(now_ms).await
     }
 
-    /// Sends a message and writes down what came of it, however long that takes: it would be sent again at once.
+    /// Sends a message and records the result. Retries the recording, because the message would otherwise be sent again.
     async fn deliver(self, delivery: DeliveryRecord) {
         let (webhook, id) = (delivery.webhook_id.clone(), delivery.id.clone());
         let Some(DeliveryOutcome { status, error }) = self.try_once(&delivery).await else { return };
@@ -89,21 +89,21 @@ impl WebhookDispatcher {
         });
         let outcome = if error.is_none() { "delivered" } else { "failed" };
         metrics::counter!("relume_webhook_attempts_total", "outcome" => outcome).increment(1);
-        tracing::info!(%webhook, delivery = %id, status, error, "tried a webhook");
+        tracing::info!(%webhook, delivery = %id, status, error, "attempted a webhook delivery");
         let attempt = DeliveryAttempt { at_ms: now_ms, status, error };
         while let Err(error) = self.jobs.store().record_attempt(&delivery, attempt.clone(), retry_at_ms).await
         {
-            tracing::error!(%error, %webhook, delivery = %id, "what came of a webhook cannot be written down");
+            tracing::error!(%error, %webhook, delivery = %id, "cannot record the result of a webhook delivery");
             tokio::time::sleep(RECORD_RETRY_INTERVAL).await;
         }
     }
 
-    /// None when there is nothing to send to any more.
+    /// One attempt; `None` if the webhook no longer exists or is disabled.
     async fn try_once(&self, delivery: &DeliveryRecord) -> Option<DeliveryOutcome> {
         let webhook = match self.jobs.store().active_webhook(&delivery.webhook_id).await {
             Ok(webhook) => webhook?,
             Err(error) => {
-                tracing::error!(%error, "a webhook cannot be read");
+                tracing::error!(%error, "cannot read a webhook");
                 return None;
             }
         };

@@ -1,4 +1,4 @@
-//! Webhooks: what the server sends by itself when jobs end, as [Standard Webhooks](https://www.standardwebhooks.com) has it.
+//! Webhooks: messages about the ends of jobs, according to [Standard Webhooks](https://www.standardwebhooks.com).
 
 mod dispatcher;
 mod policy;

@@ -1,15 +1,15 @@
-//! What webhooks may do.
+//! The policy for webhooks.
 
 use std::time::Duration;
 
-/// What webhooks may do.
+/// The policy for webhooks.
 #[derive(Debug, Clone, Copy)]
 pub struct WebhookPolicy {
-    /// Whether `http://` is accepted beside `https://`.
+    /// Whether `http://` is permitted in addition to `https://`.
     pub allow_http: bool,
-    /// Whether addresses that are not public are accepted.
+    /// Whether private addresses are permitted.
     pub allow_private: bool,
-    /// From looking up the address to the end of the answer.
+    /// Timeout from the DNS lookup to the end of the answer.
     pub timeout: Duration,
 }
 

@@ -1,4 +1,4 @@
-//! `/v1/webhooks`: made, looked at, changed and deleted by administrators of a tenant; and what was sent to them.
+//! `/v1/webhooks`: webhooks of a tenant, managed by its administrators, and their deliveries.
 
 use std::time::Duration;
 
@@ -24,10 +24,10 @@ use relume_api::webhooks::{
 };
 use relume_api::{DeliveryId, List, WebhookId};
 
-/// How long the address of a new webhook may take to be found.
+/// Timeout of the DNS lookup for a new webhook.
 const DNS_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How long a secret signs after it was replaced.
+/// Time for which a replaced secret also signs, milliseconds.
 const FORMER_SECRET_VALID_MS: i64 = 24 * 3600 * 1000;
 
 /// The routes of this file.
@@ -244,7 +244,7 @@ async fn replay_delivery(
 }
 
 /// # Errors
-/// 422 for what is wrong: the fault that was found, or the URL.
+/// 422, which names the invalid field or the URL.
 async fn check(
     url: Option<&str>,
     fault: Option<(&'static str, &'static str)>,
@@ -264,7 +264,7 @@ async fn check(
 }
 
 /// # Errors
-/// 404 when there is none.
+/// 404 if the webhook does not exist.
 fn found<T>(found: Option<T>, id: &WebhookId) -> Result<T, Problem> {
     found.ok_or_else(|| Problem::not_found("webhook", id.as_str()))
 }

@@ -1,4 +1,4 @@
-//! One attempt to deliver: send, read the status. Nothing is followed.
+//! One attempt of a delivery: sends the message and reads the status. Redirects are not followed.
 
 use axum::body::Bytes;
 use axum::http::{HeaderValue, Method, Request, StatusCode, header};
@@ -7,10 +7,10 @@ use http_body_util::{BodyExt, Full, Limited};
 use crate::server::outbound::{self, OutboundTarget, Tls};
 use crate::server::webhooks::policy::WebhookPolicy;
 
-/// Most that is read of an answer's body. Nothing of it is kept.
+/// Maximum bytes that are read of an answer's body. They are discarded.
 const MAX_RESPONSE_BYTES: usize = 64 << 10;
 
-/// A message that is signed.
+/// A message with its signature.
 pub(super) struct Message {
     pub(super) id: String,
     /// Seconds since 1970 UTC.
@@ -19,7 +19,7 @@ pub(super) struct Message {
     pub(super) body: String,
 }
 
-/// What came of an attempt: the status of the answer if there was one, and what is wrong with it.
+/// The result of an attempt: the status of the answer, if any, and the error, if any.
 pub(super) struct DeliveryOutcome {
     pub(super) status: Option<u16>,
     pub(super) error: Option<String>,
@@ -49,7 +49,7 @@ async fn attempt(
     let target = OutboundTarget::parse(url, policy.allow_http).map_err(|why| format!("the URL {why}"))?;
     let request = request(message).map_err(|error| error.to_string())?;
     let mut answer = outbound::ask(&target, policy.allow_private, tls, request).await?;
-    // The status counts, whatever follows: the body is only taken so that the receiver is not cut off.
+    // Only the status matters. The body is read so that the receiver can finish its answer.
     let _ = Limited::new(answer.response.body_mut(), MAX_RESPONSE_BYTES).collect().await;
     Ok(answer.response.status())
 }

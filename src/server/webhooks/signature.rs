@@ -1,29 +1,29 @@
-//! How a message is signed: HMAC-SHA-256 over its identifier, the time of the attempt and its bytes, with dots between.
+//! Signatures of messages: HMAC-SHA-256 over the identifier, the time of the attempt and the bytes, separated by dots.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use hmac::{Hmac, KeyInit, Mac};
 use sha2::Sha256;
 
-/// Random bytes of a secret.
+/// Number of random bytes of a secret.
 const BYTES: usize = 32;
 
-/// A fresh secret.
+/// A new secret.
 ///
 /// # Errors
-/// When the operating system gives no random bits.
+/// When the operating system provides no random bits.
 pub(super) fn fresh_secret() -> std::io::Result<Vec<u8>> {
     let mut secret = vec![0u8; BYTES];
     getrandom::fill(&mut secret)?;
     Ok(secret)
 }
 
-/// A secret as its owner gets it.
+/// A secret in the form for its owner.
 pub(super) fn encode_secret(secret: &[u8]) -> String {
     format!("whsec_{}", STANDARD.encode(secret))
 }
 
-/// The header `webhook-signature`: a signature by each secret, with spaces between.
+/// The header `webhook-signature`: a signature by each secret, separated by spaces.
 pub(super) fn sign<'a>(
     secrets: impl Iterator<Item = &'a [u8]>,
     id: &str,

@@ -1,4 +1,4 @@
-//! What workers fetch: the capture, a known light, the last checkpoint.
+//! Downloads of workers: the capture, a known light, the last checkpoint.
 
 use axum::extract::State;
 use axum::response::Response;
@@ -108,7 +108,7 @@ async fn get_checkpoint_of_work(
     send(&app, &lease, &asked, file.ok_or_else(|| Problem::not_found("checkpoint", "of the job"))?).await
 }
 
-/// A file, whose bytes are compared with their hash before any are sent from here.
+/// Answers with a file. Its hash is verified before any bytes are sent from this server.
 async fn send(
     app: &AppState,
     lease: &Lease,

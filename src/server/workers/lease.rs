@@ -1,4 +1,4 @@
-//! The lease that a worker sends along with everything about a job.
+//! The lease in requests of workers.
 
 use axum::extract::{FromRequestParts, Path};
 use axum::http::request::Parts;
@@ -11,10 +11,10 @@ use crate::store::{LeaseStatus, StoreError};
 use relume_api::JobId;
 use relume_api::work::LeaseView;
 
-/// The header with the lease's token.
+/// The header with the lease token.
 pub(super) const LEASE: &str = "relume-lease";
 
-/// The lease of the job in the path. Handlers that take it are not called once it is lost.
+/// The lease of the job in the path. Handlers with this argument are not called if the lease is lost.
 pub(super) struct Held(pub(super) Lease);
 
 #[derive(Deserialize)]
@@ -34,12 +34,12 @@ impl FromRequestParts<AppState> for Held {
     }
 }
 
-/// 409 for a worker whose job was given to another, was cancelled or has ended.
+/// 409 for a worker whose job was given to another worker, was cancelled or has ended.
 fn lost() -> Problem {
     Problem::conflict("lease-lost", "the worker no longer holds the job: stop, and publish nothing")
 }
 
-/// The answer to a worker's message; 409 when the lease was lost meanwhile.
+/// The answer to a request of a worker; 409 if the lease was lost in the meantime.
 pub(super) fn lease_view(status: Result<LeaseStatus, StoreError>) -> Result<LeaseView, Problem> {
     match status? {
         LeaseStatus::Lost => Err(lost()),

@@ -1,4 +1,4 @@
-//! Workers with a process of their own: what they ask of the server, and what whoever runs it sees and says of them.
+//! Workers: the protocol of remote workers, and the worker registry for the operator.
 
 mod inputs;
 mod lease;
@@ -10,12 +10,12 @@ use utoipa_axum::router::OpenApiRouter;
 
 use crate::server::app::AppState;
 
-/// Small bodies and queries.
+/// Routes with small bodies and queries.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
     registry::routes().merge(reports::routes())
 }
 
-/// Files, which may be large.
+/// Routes with files, which may be large.
 pub(super) fn transfers() -> OpenApiRouter<AppState> {
     inputs::routes().merge(results::routes())
 }

@@ -1,4 +1,4 @@
-//! `/v1/workers`: who works, and who shall stop.
+//! `/v1/workers`: the worker registry, with drain and resume.
 
 use axum::Json;
 use axum::extract::State;

@@ -1,4 +1,4 @@
-//! What workers ask for and report in small messages: a job, that they are there, progress, warnings, the end.
+//! Small requests of workers: claims, heartbeats, progress, warnings, and the end of an attempt.
 
 use axum::Json;
 use axum::extract::State;
@@ -17,7 +17,7 @@ use relume_api::work::{
     Claimed, FinishedModel, LeaseView, WorkEnd, WorkWarning, WorkerHello, validate_labels,
 };
 
-/// Longest warning, characters.
+/// Maximum length of a warning, characters.
 const MAX_WARNING_CHARS: usize = 2000;
 
 /// The routes of this file.
@@ -61,7 +61,7 @@ async fn claim_job(
 }
 
 /// # Errors
-/// Names the field that is wrong.
+/// Names the invalid field.
 fn check(hello: &WorkerHello) -> Result<(), Problem> {
     let wrong = |field: &str, why: &str| Err(Problem::invalid_field(format!("/{field}"), why));
     let id = hello.id.as_str();
@@ -74,7 +74,7 @@ fn check(hello: &WorkerHello) -> Result<(), Problem> {
             return wrong(field, "must have 1 to 200 characters without control characters");
         }
     }
-    // Another version may not know what a job asks for, and makes other bytes.
+    // Another version may not support the settings of a job, and produces other bytes.
     let version = env!("CARGO_PKG_VERSION");
     if hello.version != version {
         let why = format!("must be {version}, the version of the server; got {}", hello.version);
@@ -197,7 +197,7 @@ async fn end_attempt(
         WorkEnd::Failed { code, detail } => lease.fail(&code, &detail).await,
         WorkEnd::Cancelled => lease.confirm_cancel().await,
     };
-    // What was asked to stop meanwhile cannot be released: the worker asks again how it stands.
+    // A job that was asked to stop in the meantime cannot be released; the worker must query the lease again.
     match status {
         Ok(LeaseStatus::Lost) => lease_view(lease.check().await).map(Json),
         status => lease_view(status).map(Json),

@@ -1,4 +1,4 @@
-//! What workers send: checkpoints and the files of models.
+//! Uploads of workers: checkpoints and the files of models.
 
 use axum::Json;
 use axum::extract::{Request, State};
@@ -81,7 +81,7 @@ async fn put_file_of_work(
 }
 
 /// # Errors
-/// 422 for what is no name of a model's file, which the field `pointer` has.
+/// 422 for an invalid name of a model's file; the field is `pointer`.
 pub(super) fn check_name(name: &str, pointer: &str) -> Result<(), Problem> {
     let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-');
     let is_name = (1..=64).contains(&name.len()) && name.chars().all(plain) && !name.starts_with('.');
@@ -92,7 +92,7 @@ pub(super) fn check_name(name: &str, pointer: &str) -> Result<(), Problem> {
     Err(Problem::invalid_field(pointer, why))
 }
 
-/// Streams a body to disk, counted for the job's tenant.
+/// Streams a body to disk, with its bytes counted for the job's tenant.
 async fn receive(app: &AppState, lease: &Lease, request: Request) -> Result<StagedUpload, Problem> {
     let body = request.into_body().into_data_stream().map_err(|error| error.to_string());
     let name: String = app.jobs.fresh_id();

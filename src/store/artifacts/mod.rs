@@ -231,12 +231,12 @@ impl Artifacts {
         let _key_lock = self.key_lock(key).await;
         self.forget(key);
         if let Err(error) = self.files.delete(&Key::from(key)).await {
-            tracing::debug!(%error, key, "an artifact was not removed");
+            tracing::debug!(%error, key, "cannot remove an artifact");
         }
         if let Some(cached_store) = self.cached_store_for(key)
             && let Err(error) = cached_store.remote.remove(key).await
         {
-            tracing::warn!(%error, key, "an artifact was not removed from the object store; the next start of a server removes it");
+            tracing::warn!(%error, key, "cannot remove an artifact from the object store; the next start removes it");
         }
     }
 

@@ -18,7 +18,7 @@ impl FromStr for DatabaseUrl {
 
     fn from_str(text: &str) -> Result<Self, String> {
         if !["postgres://", "postgresql://"].iter().any(|scheme| text.starts_with(scheme)) {
-            return Err("must begin with postgres://; without this option the server uses a SQLite file in its data directory".to_owned());
+            return Err("must begin with postgres://; without a URL the server uses a SQLite file in its data directory".to_owned());
         }
         let options = PgConnectOptions::from_str(text).map_err(|error| error.to_string())?;
         Ok(Self(Box::new(options.application_name("relume"))))

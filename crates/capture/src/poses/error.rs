@@ -16,7 +16,7 @@ pub enum PoseError {
         install: &'static str,
     },
     /// The program is too old, or does not report a version.
-    #[error("the version of `{program}` is {found}; {least} or later is required: {install}")]
+    #[error("`{program}` has version {found}; at least {least} is required: {install}")]
     TooOld {
         /// Name of the program.
         program: String,
@@ -54,8 +54,8 @@ pub enum PoseError {
     Cancelled,
     /// COLMAP found poses for too few photographs.
     #[error(
-        "COLMAP found the poses of {placed} of {photographs} photographs; at least 3, and half of them, are needed: \
-         take sharp and evenly lit photographs of textured objects with more overlap; the log is {log}",
+        "COLMAP placed {placed} of {photographs} photographs; at least 3, and half of them, are required: take sharp, evenly lit \
+         photographs of textured objects with more overlap; the log is {log}",
         log = .log.display()
     )]
     TooFewPlaced {

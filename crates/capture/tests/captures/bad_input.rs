@@ -138,7 +138,7 @@ fn too_few_images_are_refused_with_count_and_names() {
     let mut files = blender();
     files.remove("train/r_1.png");
     let capture = import_bytes(&zip(&files)).unwrap();
-    assert!(capture.warnings[0].contains("names 1 images that are missing, 3 remain: train/r_1"));
+    assert!(capture.warnings[0].contains("names 1 images that are missing; 3 remain: train/r_1"));
     files.remove("train/r_2.png");
     let error = refusal(&files);
     assert_eq!(error.code(), "capture_too_few_images");

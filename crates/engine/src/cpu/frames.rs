@@ -1,4 +1,4 @@
-//! Frames of the CPU engine: a model prepared for rendering, and the tiers that shade from light tables.
+//! Frames of the CPU engine: a model prepared for rendering, and frames from light tables or along rays.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
@@ -97,7 +97,8 @@ impl CpuFrameRenderer {
         }
     }
 
-    /// Renders `job` with light that is looked for along `rays`, which are those of the environment that `light` was prepared of.
+    /// Renders `job` with light that is traced along rays. `rays` must belong to the environment from which `light` was
+    /// prepared.
     pub fn render_by_rays(&self, job: &FrameJob<'_>, light: &CpuFrameLight, rays: &RayLight<'_>) -> Frame {
         let source = self.lit_source(light);
         match *rays {

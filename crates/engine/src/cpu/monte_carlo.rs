@@ -1,5 +1,5 @@
-//! The Monte-Carlo tier: each pixel's integral over the environment by Monte-Carlo, with a query through the Gaussians
-//! towards every direction drawn. What is blocked sends the light that was gathered, as in the standard tier.
+//! The Monte-Carlo tier: Monte-Carlo integration over the environment for each pixel, with a ray through the Gaussians in every
+//! sampled direction. Blocked directions contribute the gathered light, as in the standard tier.
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
@@ -13,21 +13,21 @@ use relume_layout::constants::EarlyStop;
 use relume_scene::Field;
 use relume_scene::light::{EnvSampler, SampleCounts, estimate};
 
-/// A frame is f32 and finite, whatever a single sample of an extreme light came to.
+/// Upper bound of a radiance, so that a frame stays finite in f32 even with samples of an extreme light.
 const MAX_RADIANCE: f64 = 1e36;
 
-/// The directions that a job draws.
+/// The directions that a job samples.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sampling {
-    /// Directions a pixel.
+    /// Number of directions per pixel.
     pub samples: u32,
-    /// Their seed.
+    /// Seed of the directions.
     pub seed: u64,
-    /// Pixels of the frame before the first one of the job: no two pixels have the same samples.
+    /// Number of the frame's pixels before the first pixel of the job, so that no two pixels have the same samples.
     pub pixels_before: u64,
 }
 
-/// Renders every pixel. The bytes depend on the seed and on nothing else that is random.
+/// Renders every pixel. The seed is the only source of randomness.
 pub(super) fn render(
     job: &FrameJob<'_>,
     (source, shader): (&AttributeSource<'_>, &SurfaceShader<'_>),
@@ -41,7 +41,7 @@ pub(super) fn render(
     let shares = SampleCounts::of(samples, environment);
     let random = ChaCha8Rng::seed_from_u64(seed);
     let light = |(x, y): (usize, usize), surface: &Surface| {
-        // A stream a pixel: no pixel's samples depend on who rendered the one before.
+        // One random stream per pixel, so that its samples do not depend on the order of rendering.
         let mut random = random.clone();
         random.set_stream(pixels_before + (y * view.width + x) as u64);
         let point = surface_point(&pass, x, y);

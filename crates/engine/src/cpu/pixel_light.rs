@@ -1,4 +1,4 @@
-//! Direct light of one small light in every pixel: what surfaces would send if nothing hid it, and how much of it arrives.
+//! Direct light of one small light per pixel: the reflected radiance without occlusion, and the share of the light that arrives.
 
 use rayon::prelude::*;
 
@@ -12,16 +12,16 @@ use relume_layout::constants::{EarlyStop, MIN_COVERAGE, SHADOW_SAMPLE_OFFSETS};
 use relume_scene::light::{DominantLight, Sheen, TableLight};
 use relume_scene::{Field, ShadeAt, SplitLight};
 
-/// What every pixel sends of one light that nothing hides.
+/// The reflected radiance of one unoccluded light in every pixel.
 pub(super) enum UnshadowedLight<'a> {
-    /// Reflected where Gaussians are, and blended.
+    /// Reflected at the Gaussians, then blended.
     AtGaussians(Box<Pass>),
-    /// Reflected by the surface that a pixel sees.
+    /// Reflected at the surface of each pixel.
     InPixels(&'a Pass, &'a DominantLight),
 }
 
 impl<'a> UnshadowedLight<'a> {
-    /// Of `light`, where the model of `source` is shaded; `pass` has the G-buffer.
+    /// Uses the shading location of the model of `source`. `pass` has the G-buffer.
     pub(super) fn new(source: &AttributeSource<'_>, pass: &'a Pass, light: &'a DominantLight) -> Self {
         match source.options.shade_at {
             ShadeAt::Gaussian => Self::AtGaussians(Box::new(blend_reflected(source, pass, light))),
@@ -29,7 +29,7 @@ impl<'a> UnshadowedLight<'a> {
         }
     }
 
-    /// Radiance of pixel (`x`, `y`); `None` where there is nothing to shade or the light is behind it.
+    /// Radiance of pixel (`x`, `y`); `None` without coverage, or if the light is behind the surface.
     pub(super) fn at(&self, (x, y): (usize, usize)) -> Option<OutgoingRadiance> {
         let pass: &Pass = match self {
             Self::AtGaussians(pass) => pass,
@@ -46,7 +46,7 @@ impl<'a> UnshadowedLight<'a> {
     }
 }
 
-/// A pass with nothing but the light that each Gaussian reflects.
+/// A pass that blends only the radiance that each Gaussian reflects.
 fn blend_reflected(source: &AttributeSource<'_>, pass: &Pass, light: &DominantLight) -> Pass {
     let channels = Channels::Full(0);
     let (view, stored) = (pass.view, channels.stored());
@@ -64,7 +64,7 @@ fn blend_reflected(source: &AttributeSource<'_>, pass: &Pass, light: &DominantLi
     Pass::blend(view, binned, channels, RowLight::Outgoing, rows, EarlyStop::WhenSaturated)
 }
 
-/// What `surface` sends of a light that nothing hides, sheen included.
+/// The radiance that `surface` reflects of an unoccluded light, including sheen.
 fn reflect(surface: &Surface, light: &DominantLight) -> OutgoingRadiance {
     let Some(reflected) = reflector(surface).reflect(light.direction, light.radius) else {
         return OutgoingRadiance::default();
@@ -78,7 +78,7 @@ fn reflect(surface: &Surface, light: &DominantLight) -> OutgoingRadiance {
     }
 }
 
-/// Which share of one light arrives at what a pixel sees.
+/// Computes the share of one light that arrives at the surface of a pixel.
 pub(super) struct PixelShadows<'a> {
     pass: &'a Pass,
     occluders: &'a OccluderBvh,
@@ -86,13 +86,13 @@ pub(super) struct PixelShadows<'a> {
 }
 
 impl<'a> PixelShadows<'a> {
-    /// The shadows that the Gaussians of `occluders` cast under `light` on what `pass` shows.
+    /// Shadows that the Gaussians of `occluders` cast under `light` on the surfaces in `pass`.
     pub(super) fn new(pass: &'a Pass, occluders: &'a OccluderBvh, light: &DominantLight) -> Self {
         let directions = towards_light(&SplitLight::from(&TableLight::from(light)));
         Self { pass, occluders, directions }
     }
 
-    /// Share in pixel (`x`, `y`), 0 to 1: the mean over rays from places within the pixel to places of the light.
+    /// Share of the light in pixel (`x`, `y`), 0 to 1: the mean over rays from points within the pixel to points of the light.
     pub(super) fn share(&self, (x, y): (usize, usize)) -> f32 {
         let points = surface_points(self.pass, (x, y), SHADOW_SAMPLE_OFFSETS);
         let rays = self.directions.len().max(points.len());

@@ -1,5 +1,5 @@
-//! Frames with strong small lights: each casts a shadow that is asked for in every pixel; the rest of the environment comes from
-//! tables.
+//! Frames with strong small lights. The shadow of each light is ray-traced in every pixel; tables represent the rest of the
+//! environment.
 
 use rayon::prelude::*;
 
@@ -11,7 +11,7 @@ use relume_layout::constants::EarlyStop;
 use relume_scene::light::DominantLight;
 use relume_scene::{Field, ShadeAt, VisibilityForm};
 
-/// Renders every pixel under the rest and each of the lights; the job's shader has the tables of both together.
+/// Renders every pixel under the rest of the environment and each light. The job's shader has the tables of both together.
 pub(super) fn render(
     job: &FrameJob<'_>,
     (source, shader): (&AttributeSource<'_>, &SurfaceShader<'_>),
@@ -31,7 +31,7 @@ pub(super) fn render(
     })
 }
 
-/// What each pixel, in rows, sends of the lights.
+/// The radiance of the lights in each pixel, row-major.
 fn direct(
     job: &FrameJob<'_>,
     source: &AttributeSource<'_>,

@@ -210,7 +210,7 @@ impl Gpu {
     /// Waits until the device has completed all submissions.
     ///
     /// # Errors
-    /// [`DeviceError::Timeout`] after [`DEVICE_TIMEOUT_S`], or another error of the device.
+    /// [`DeviceError::Timeout`] after 120 s, or another error of the device.
     pub fn wait(&self) -> Result<(), DeviceError> {
         self.wait_for(None)
     }

@@ -1,18 +1,18 @@
-//! What is computed by every engine, and what comes of it.
+//! A case for every engine, and its result.
 
 use crate::{Arrays, TableOperators};
 use relume_engine::cpu::BufferGradient;
 use relume_scene::light::{EnvOperators, TableResolution};
 use relume_scene::{Camera, LightSplit, MAX_LIGHTS, Model};
 
-/// Tables of environments of one size, for the reference and for the others.
+/// Table operators for environments of one size, for the reference and for the other engines.
 pub struct LightShape {
     pub(super) tables: TableOperators,
     pub(super) operators: EnvOperators,
 }
 
 impl LightShape {
-    /// For environments of `width` x `height` texels and visibility of degree `sh_degree`.
+    /// Operators for environments of `width` x `height` texels and visibility of degree `sh_degree`.
     pub fn new(width: usize, height: usize, sh_degree: usize, resolution: TableResolution) -> Self {
         Self {
             tables: TableOperators::new(width, height, resolution),
@@ -20,27 +20,27 @@ impl LightShape {
         }
     }
 
-    /// The same with lights taken out, as `split` says.
+    /// The same operators with the dominant lights of `split`.
     #[must_use]
     pub fn with_lights(&self, split: &LightSplit) -> Self {
         Self { tables: self.tables.with_lights(split), operators: self.operators.with_lights(split) }
     }
 }
 
-/// A view, and the weights of the number whose gradient is asked for: a sum over both images and over the normal, plane,
-/// metalness, roughness and coverage buffers. The GPU engine leaves learned indirect light out.
+/// A view, and the weights of a scalar whose gradient is computed: a weighted sum over both images and over the normal, plane,
+/// metalness, roughness and coverage buffers. The GPU engine omits learned indirect light.
 pub struct ParityCase<'a> {
-    /// What is rendered.
+    /// The model.
     pub model: &'a Model,
-    /// From where, in the model's world.
+    /// The camera, in the model's world.
     pub camera: &'a Camera,
-    /// Display-referred.
+    /// Background, display-referred.
     pub background: [f32; 3],
-    /// Measured indirect light per Gaussian; empty = none.
+    /// Measured indirect light per Gaussian; empty: none.
     pub gathered: &'a [[f32; 6]],
-    /// Share of each of the light's own lights that arrives per Gaussian; empty = all of it.
+    /// Arriving share of each dominant light per Gaussian; empty: 1.
     pub arriving: &'a [[f32; MAX_LIGHTS]],
-    /// Fits the model's environment.
+    /// Operators for the size of the model's environment.
     pub light: &'a LightShape,
     /// Weights of the physically based image, row-major.
     pub physical: Vec<[f32; 3]>,
@@ -53,7 +53,7 @@ pub struct ParityCase<'a> {
 /// A splat in front of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VisibleSplat {
-    /// Which Gaussian.
+    /// Index of the Gaussian.
     pub gaussian: usize,
     /// Projected mean, pixels.
     pub mean: [f64; 2],
@@ -70,9 +70,9 @@ pub struct ParityResult {
     pub radiance: Vec<[f64; 3]>,
     /// Accumulated alpha.
     pub coverage: Vec<f64>,
-    /// By parameter name, as the reference names them.
+    /// Gradients by parameter name of the reference.
     pub gradients: Arrays,
-    /// Splats that are drawn, by Gaussian.
+    /// Drawn splats, in the order of the Gaussians.
     pub splats: Vec<VisibleSplat>,
 }
 
@@ -112,7 +112,7 @@ impl<'a> ParityCase<'a> {
         Self { model, camera, background, gathered: &[], arriving: &[], light, physical, radiance, buffers }
     }
 
-    /// Leaves the pixels out that are false in `counted`.
+    /// Sets the weights to zero of pixels that are false in `counted`.
     pub fn keep(&mut self, counted: &[bool]) {
         for (i, _) in counted.iter().enumerate().filter(|(_, counted)| !**counted) {
             self.physical[i] = [0.0; 3];

@@ -62,7 +62,7 @@ pub fn cpu_result(case: &ParityCase<'_>) -> ParityResult {
     }
 }
 
-/// Gradients under the reference's names.
+/// Gradients by parameter name of the reference.
 fn arrays(model: &Model, found: &Gradients, by_raw: &[[f32; 3]]) -> Arrays {
     let n = model.gaussians.len();
     let mut out = shared(model, found.prototypes.as_flattened(), by_raw.as_flattened());
@@ -73,7 +73,7 @@ fn arrays(model: &Model, found: &Gradients, by_raw: &[[f32; 3]]) -> Arrays {
     out
 }
 
-/// Gradients of what all Gaussians share.
+/// Gradients of the parameters that all Gaussians share.
 pub(super) fn shared(model: &Model, prototypes: &[f32], by_raw: &[f32]) -> Arrays {
     let wide = |shape: &[usize], v: &[f32]| Array::new(shape, v.iter().map(|v| f64::from(*v)).collect());
     Arrays::from([

@@ -60,7 +60,7 @@ impl ParityBuffers {
 /// The result of the GPU engine, without early stop.
 ///
 /// # Errors
-/// What went wrong on the device.
+/// Errors of the device.
 pub fn gpu_result(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, DeviceError> {
     let options = case.model.shading;
     let camera = CameraUniform::new(&RasterCamera::new(case.camera, &options));

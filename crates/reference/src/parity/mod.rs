@@ -1,5 +1,5 @@
-//! The same case computed by every engine: how a view looks, and the gradient of one number made of it. What tests and
-//! `relume-bench precision` compare.
+//! One case on every engine: the images of a view, and the gradient of a scalar computed from them. Tests and
+//! `relume-bench precision` compare the results.
 
 mod case;
 mod cpu;

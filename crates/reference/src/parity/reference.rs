@@ -63,8 +63,8 @@ fn splats(pass: &Stages<'_>) -> Vec<VisibleSplat> {
     out
 }
 
-/// Pixels in which no splat is within `margin` (relative) of a threshold of alpha (1/255 and 0.99): elsewhere f32 may
-/// fall on the other side, and one layer more or less is no matter of digits.
+/// Pixels in which no splat is within `margin` (relative) of a threshold of alpha (1/255 and 0.99). In other pixels f32 may
+/// fall on the other side of the threshold, which adds or removes a layer.
 pub fn stable_pixels(case: &ParityCase<'_>, margin: f64) -> Vec<bool> {
     let tape = Tape::new();
     let pass = forward(&tape, &ReferenceModel::from_model(case.model), case.camera, &options(case));

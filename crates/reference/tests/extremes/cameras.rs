@@ -35,7 +35,7 @@ fn cameras_a_million_units_away_match(device: &Device) {
     for distance in [1e3, 1e6] {
         let eye = DVec3::new(0.6, -0.64, 0.48) * distance;
         let camera = Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 2.0 / distance, (16, 12)).unwrap();
-        // All Gaussians are a millionth of their depth apart, the last digit of f32: order has digits of its own.
+        // The depths of all Gaussians differ by a millionth, the last digit of f32; the depth key keeps more digits.
         suite.check(&format!("{distance:e} away"), &model, &camera, TIGHT);
     }
     suite.finish();
@@ -64,7 +64,7 @@ fn fields_of_view_up_to_179_degrees_match(device: &Device) {
     let mut suite = Suite::on(device);
     for degrees in [1e-3f64, 0.1, 90.0, 170.0, 179.0] {
         let mut model = model(8, 24);
-        // As large as the view is wide.
+        // As large as the width of the view.
         let width = (3.0 * (0.5 * degrees.to_radians()).tan()) as f32;
         model.gaussians.field_mut(Field::Mean).iter_mut().for_each(|v| *v *= width);
         (0..8).for_each(|i| model.gaussians.row_mut(Field::Mean, i)[1] = 0.1 * i as f32);

@@ -17,10 +17,10 @@ on_each_engine! {
 
 const N: usize = 6;
 
-/// Parameters in which even NaN must do no harm: they decide what is drawn.
+/// Parameters in which even NaN must be harmless: they decide which Gaussians are drawn.
 const GEOMETRY: [Field; 4] = [Field::Mean, Field::LogScale, Field::Quaternion, Field::OpacityLogit];
 
-/// Finite values at which something ends: denormals, thresholds, tile edges, the largest a file may hold.
+/// Finite values at limits: denormals, thresholds, tile edges, the largest value of a file.
 fn finite() -> impl Strategy<Value = f32> {
     let near_cut = -(254.0f32.ln());
     prop_oneof![
@@ -44,7 +44,7 @@ fn finite() -> impl Strategy<Value = f32> {
     ]
 }
 
-/// Also what no file may hold.
+/// Finite values, NaN and infinities, which a file must not contain.
 fn poison() -> impl Strategy<Value = f32> {
     prop_oneof![
         3 => finite(),
@@ -94,7 +94,7 @@ fn is_on_a_threshold(model: &Model, camera: &Camera, i: usize) -> bool {
         || (depth - 0.05).abs() < 1e-5
         || (depth / 1e12 - 1.0).abs() < 1e-4
         || near_zero
-        // Size and distance together, or place on screen, at their limit.
+        // Size and distance together, or position on screen, at their limit.
         || scales.iter().any(|s| *s > 10.0)
         || (depth > 0.05 && (mean.length() / depth) > 1e8)
 }
@@ -111,7 +111,7 @@ fn check(model: &Model, camera: &Camera, device: &Device) -> Result<(), TestCase
         prop_assert_eq!(drawn(&cpu_result(&question)), drawn(&found));
         return Ok(());
     }
-    // The same without the Gaussians that are not drawn.
+    // The same model without the Gaussians that are not drawn.
     let kept: Vec<usize> = found.splats.iter().map(|s| s.gaussian).collect();
     let mut rest = model.clone();
     rest.gaussians = model.gaussians.gathered(&kept);

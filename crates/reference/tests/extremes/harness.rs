@@ -14,10 +14,10 @@ use relume_scene::{Camera, Field, Model};
 
 pub(super) const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
 pub(super) const TABLES: TableResolution = TableResolution { diffuse: 5, sharp: 7, rough: 5 };
-/// How far from a threshold of alpha a splat must be in a pixel for the pixel to count.
+/// Smallest relative distance of all splats of a counted pixel from a threshold of alpha.
 const MARGIN: f64 = 2e-3;
-/// A parameter's gradient is measured against its largest entry, but at least against this share of the largest of all:
-/// where the true gradient is nothing, what is left of cancelled terms is no error.
+/// Errors of a parameter's gradient are relative to its largest entry, but at least to this share of the largest entry of all
+/// parameters: where the true gradient is 0, the rounding of cancelled terms is no error.
 const MIN_GRADIENT_SHARE: f64 = 1e-5;
 
 pub(super) static LIGHT: LazyLock<LightShape> =
@@ -30,17 +30,17 @@ pub(super) fn set<const W: usize>(model: &mut Model, field: Field, rows: &[[f32;
     }
 }
 
-/// Looks at the origin from `eye`, 34 degrees high.
+/// Looks at the origin from `eye`, with a vertical field of view of 34 degrees.
 pub(super) fn looking_from(eye: [f64; 3], size: (u32, u32)) -> Camera {
     Camera::look_at(eye.into(), DVec3::ZERO, DVec3::Z, 0.6, size).unwrap()
 }
 
-/// From (0, -3, 0): depth is exactly y + 3.
+/// A camera at (0, -3, 0): depth is exactly y + 3.
 pub(super) fn in_front(size: (u32, u32)) -> Camera {
     looking_from([0.0, -3.0, 0.0], size)
 }
 
-/// Makes two tests of each function that takes a `&Device`: one on the CPU engine, one on the GPU engine.
+/// Generates two tests of each function with a `&Device`: one on the CPU engine, one on the GPU engine.
 macro_rules! on_each_engine {
     ($($case:ident),* $(,)?) => {
         mod on_cpu {
@@ -60,17 +60,17 @@ macro_rules! on_each_engine {
 }
 pub(super) use on_each_engine;
 
-/// What is allowed, relative to the largest value of an image and to the largest gradient of a parameter.
+/// Largest errors allowed, relative to the largest value of an image and to the largest gradient of a parameter.
 #[derive(Clone, Copy)]
 pub(super) struct Bounds {
     pub(super) image: f64,
     pub(super) gradient: f64,
 }
 
-/// Ordinary digits of f32.
+/// The usual accuracy of f32.
 pub(super) const TIGHT: Bounds = Bounds { image: 1e-5, gradient: 3e-5 };
 
-/// Worst relative errors of an answer, and the parameter with the worst gradient.
+/// Largest relative errors of a result, and the parameter with the worst gradient.
 pub(super) struct Errors {
     pub(super) image: f64,
     pub(super) gradient: f64,
@@ -97,7 +97,7 @@ pub(super) fn errors(found: &ParityResult, expected: &ParityResult, kept: &[bool
     Errors { image: image[0].max(image[1]), gradient, worst }
 }
 
-/// Cases of one test on one engine. Failures are collected, so that one run names them all.
+/// Cases of one test on one engine. Failures are collected, so that one run reports all of them.
 pub(super) struct Suite<'d> {
     device: &'d Device,
     failures: Vec<String>,
@@ -109,7 +109,7 @@ impl<'d> Suite<'d> {
         Self { device, failures: Vec::new(), ended: false }
     }
 
-    /// The engine against the reference.
+    /// Compares the engine with the reference.
     pub(super) fn check(&mut self, name: &str, model: &Model, camera: &Camera, bounds: Bounds) {
         let mut question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
         let kept = stable_pixels(&question, MARGIN);
@@ -130,8 +130,8 @@ impl<'d> Suite<'d> {
         }
     }
 
-    /// Where f64 has no answer, or too slow a one: the engine's answer is finite, and the GPU engine draws the same
-    /// Gaussians as the CPU engine and agrees with it to `bound`.
+    /// For cases where f64 has no result or is too slow: the engine's result must be finite, and the GPU engine must draw the
+    /// same Gaussians as the CPU engine and agree with it within `bound`.
     pub(super) fn alike(&mut self, name: &str, model: &Model, camera: &Camera, bound: f64) -> ParityResult {
         let question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
         let found = self.finite(name, &question);

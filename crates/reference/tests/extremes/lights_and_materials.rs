@@ -1,4 +1,4 @@
-//! Materials at their ends, grazing views, and lights from black to 1e30.
+//! Materials at their limits, grazing views, and lights from black to 1e30.
 
 use std::sync::Arc;
 
@@ -25,7 +25,7 @@ fn normals_perpendicular_to_the_view_match(device: &Device) {
     model.shading.normal = NormalForm::Free;
     (0..3).for_each(|i| model.gaussians.row_mut(Field::Mean, i)[0] = 0.0);
     set(&mut model, Field::Normal, &[[0.0, 0.0, 1.0]; 3]);
-    // The only pixel looks along +y exactly: n.v is exactly 0.
+    // The only pixel looks exactly along +y: n.v is exactly 0.
     suite.check("n.v = 0", &model, &in_front((1, 1)), TIGHT);
     set(&mut model, Field::Normal, &[[0.0, 1e-5, 1.0]; 3]);
     suite.check("n.v = -1e-5", &model, &in_front((1, 1)), TIGHT);

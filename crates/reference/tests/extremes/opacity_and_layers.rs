@@ -1,4 +1,4 @@
-//! Opacity at its ends, and very many layers on one ray.
+//! Opacity at its limits, and very many layers on one ray.
 
 use relume_compare::worst;
 use relume_engine::cpu::{AttributeSource, Pass, backward_labels};
@@ -20,7 +20,7 @@ on_each_engine! {
 }
 
 const LAYERS: usize = 10_000;
-/// What early stop may miss, and the last digit of a coverage of 1.
+/// Coverage that early stop may miss, plus the last digit of a coverage of 1.
 const MAX_MISSED: f32 = TRANSMITTANCE_STOP + f32::EPSILON;
 
 /// Ten thousand sheets behind each other over a single pixel.
@@ -30,7 +30,7 @@ fn layered(logit: f32) -> (Model, Camera) {
         let depth = (i * 7919 % LAYERS) as f32 / LAYERS as f32 * 2.0 - 1.0;
         model.gaussians.row_mut(Field::Mean, i).copy_from_slice(&[0.0, depth, 0.0]);
         model.gaussians.row_mut(Field::Quaternion, i).copy_from_slice(&[1.0, 0.0, 0.0, 0.0]);
-        // Wider than sixteen pixels, which is what the CPU engine gives up together.
+        // Wider than sixteen pixels, which the CPU engine stops together.
         model.gaussians.row_mut(Field::LogScale, i).copy_from_slice(&[8.0, -3.0, 8.0]);
     }
     model.gaussians.field_mut(Field::OpacityLogit).fill(logit);
@@ -61,7 +61,7 @@ fn ten_thousand_layers_on_one_ray_match(device: &Device) {
     // T ends at 1e-8, 1e-175 (below the smallest f32) and 1e-20000.
     for logit in [-5.3, -3.2, 9.0] {
         let (model, camera) = layered(logit);
-        // The GPU engine finds transmittances on its way back by division: a last digit a layer is 6e-4.
+        // The GPU engine recovers transmittances by division in its backward pass: one last digit per layer is 6e-4.
         let bounds = Bounds { image: 2e-5, gradient: 2e-3 };
         suite.check(&format!("layers of {logit}"), &model, &camera, bounds);
     }

@@ -1,4 +1,4 @@
-//! Sizes and shapes of Gaussians, and where they stand.
+//! Sizes, shapes and positions of Gaussians.
 
 use relume_engine::Device;
 use relume_scene::Field;
@@ -34,7 +34,7 @@ fn scales_from_1e_6_to_1e6_match(device: &Device) {
 
 fn scales_with_overflowing_or_underflowing_squares_match(device: &Device) {
     let mut suite = Suite::on(device);
-    // A point is as wide as the low-pass; compensation leaves it the weight that it has, none.
+    // A point is as wide as the low-pass; with compensation its weight is 0.
     for (log, is_point) in
         [(f32::NEG_INFINITY, true), (-1e30, true), (-60.0, true), (60.0, false), (f32::INFINITY, false)]
     {
@@ -72,7 +72,7 @@ fn elongated_and_flat_gaussians_match(device: &Device) {
             let name = format!("shape {shape:?} {compensation}");
             suite.check(&name, &with(shape, compensation), &in_front((16, 12)), TIGHT);
         }
-        // From 1e8 to 1 on, `xx yy - xy^2` leaves the reference no digits even in f64.
+        // From a ratio of 1e8 on, `xx yy - xy^2` has no correct digits in the reference, even in f64.
         for shape in [[1e4, 1e-4, 1e-4], [1e6, 1e-6, 1e-6]] {
             let name = format!("shape {shape:?} {compensation}");
             suite.alike(&name, &with(shape, compensation), &in_front((16, 12)), 1e-3);
@@ -114,7 +114,7 @@ fn zero_quaternion_is_the_identity(device: &Device) {
     for length in [1e-9f32, 1e-4, 1e4, 1e18] {
         let mut scaled = model(6, 8);
         scaled.gaussians.field_mut(Field::Quaternion).iter_mut().for_each(|v| *v *= length);
-        // The gradient by a quaternion goes as one over its length; the image does not change.
+        // The gradient by a quaternion is proportional to 1 / length; the image does not change.
         let answer = suite.alike(&format!("length {length:e}"), &scaled, &camera, 1e-4);
         assert!(answer.is_finite());
     }

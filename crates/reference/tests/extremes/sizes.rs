@@ -1,4 +1,4 @@
-//! None, one and very many: Gaussians, pixels, cameras; and photographs without contrast.
+//! Zero, one and very many Gaussians, pixels and cameras; and photographs without contrast.
 
 use relume_capture::{Capture, SyntheticOptions, synthetic};
 use relume_engine::Device;
@@ -39,7 +39,7 @@ fn one_hundred_thousand_gaussians_in_few_tiles_match(device: &Device) {
 fn images_of_one_pixel_and_of_8192_pixels_match(device: &Device) {
     let mut suite = Suite::on(device);
     suite.check("1 x 1", &model(6, 43), &in_front((1, 1)), TIGHT);
-    // Strips as long as 8k, 90 degrees from end to end.
+    // Strips of 8,192 pixels with a field of view of 90 degrees.
     for (size, fov) in [((8192, 1), 2.0 * (0.5f64 / 4096.0).atan()), ((1, 8192), 0.5 * std::f64::consts::PI)]
     {
         let mut model = model(3, 44);
@@ -65,7 +65,7 @@ fn capture(views: usize) -> Capture {
     capture
 }
 
-/// Trains a little; the last loss.
+/// Trains for `steps` steps and returns the last loss.
 fn train(capture: &Capture, steps: usize, device: &Device) -> f32 {
     let overrides = TrainOverrides {
         iterations: Some(40),

@@ -12,9 +12,9 @@ use relume_reference::{
 use relume_scene::Camera;
 use safetensors::{Dtype, SafeTensors};
 
-/// The promise of the reference engine, elementwise.
+/// Largest relative error of the reference engine, elementwise.
 const RELATIVE: f64 = 1e-9;
-/// Of the tensor's largest value, or of 1 where that is larger.
+/// Absolute floor of the error, relative to min(1, the tensor's largest value).
 const FLOOR: f64 = 1e-12;
 
 type Fixture = BTreeMap<String, Array>;
@@ -67,7 +67,7 @@ fn options_of(fixture: &Fixture) -> Options {
     })
 }
 
-/// Everything the engine computes that the fixtures hold, under the fixtures' names.
+/// The engine's values of all tensors of the fixtures, by the fixtures' names.
 fn computed(fixture: &Fixture) -> BTreeMap<String, Array> {
     let (scene, camera, tape) = (scene_of(fixture), camera_of(fixture), Tape::new());
     let options = options_of(fixture);
@@ -99,8 +99,8 @@ fn computed(fixture: &Fixture) -> BTreeMap<String, Array> {
     out
 }
 
-/// The worst elementwise relative error, where values below a thousandth of the tensor's largest (or of 1) are
-/// measured against that thousandth: at most [`RELATIVE`] is within 1e-9 relative with a floor of 1e-12.
+/// The worst elementwise relative error; for values below a thousandth of min(1, the tensor's largest) the error is relative
+/// to that thousandth. A result of at most [`RELATIVE`] means 1e-9 relative with a floor of 1e-12.
 fn worst_error(ours: &Array, theirs: &Array) -> f64 {
     assert_eq!(ours.len(), theirs.len());
     let largest = theirs.data().iter().fold(0.0, |m: f64, v| m.max(v.abs()));
@@ -125,7 +125,7 @@ fn matches(fixture: &Fixture) {
             failed.push(tensor);
         }
     }
-    // What the file leaves out of a single term's gradients is zero.
+    // Gradients of a single term that the file omits are zero.
     for (tensor, gradient) in &ours {
         let radiance = tensor.ends_with("radiance_sh");
         let stored = ["img_mae", "img_dssim", "occ", "agg", "light", "total"];

@@ -1,8 +1,8 @@
 //! Every gradient of every parameter against central differences, under every form of the forward model.
 //!
-//! The scene stays clear of the kinks (alpha cut-offs, clamps), where differences measure something else.
-//! Training takes visibility labels as data, in the listing and in our own mode alike: the paths through
-//! them are cut by design. Here they are part of the function, so that they are checked as well.
+//! The scene avoids kinks (alpha cut-offs, clamps), at which central differences are wrong. Training treats visibility labels
+//! as constants, in the listing and in docs/MODEL.md. Here they are part of the function, so that the gradients through them
+//! are checked as well.
 
 use glam::DVec3;
 use relume_compare::worst;
@@ -19,11 +19,11 @@ use relume_scene::{
 
 const GAUSSIANS: usize = 7;
 const OUTSIDE: usize = GAUSSIANS - 2;
-/// Relative to the largest gradient of a parameter.
+/// Largest error, relative to the largest gradient of a parameter.
 const TOLERANCE: f64 = 1e-7;
 const ENV: (usize, usize) = (8, 4);
 
-/// Evenly spread numbers in [-1, 1], a sequence of its own for each `seed`.
+/// Evenly spread numbers in [-1, 1], another sequence for each `seed`.
 fn noise(shape: &[usize], seed: f64, centre: f64, spread: f64) -> Array {
     let count = shape.iter().product();
     let value =
@@ -34,9 +34,9 @@ fn noise(shape: &[usize], seed: f64, centre: f64, spread: f64) -> Array {
 fn scene() -> ReferenceModel {
     let n = GAUSSIANS;
     let mut means = noise(&[n, 3], 1.0, 0.0, 0.7);
-    // One beyond the image's edge, where the Jacobian's guard band binds, yet wide enough to be seen.
+    // One Gaussian beyond the image's edge, where the Jacobian's guard band applies, but wide enough to be visible.
     means.data_mut()[3 * OUTSIDE] = 2.3;
-    // The last one is behind the camera: it must get zeros, not noise.
+    // The last one is behind the camera: its gradients must be exactly zero.
     means.data_mut()[3 * (n - 1)..].copy_from_slice(&[0.0, -9.0, 0.0]);
     let mut visibility = noise(&[n, 25], 10.0, 0.0, 0.15);
     visibility.data_mut().iter_mut().step_by(25).for_each(|c| *c = 1.9);
@@ -74,7 +74,7 @@ fn target() -> Target {
     }
 }
 
-/// Without cut-offs, which differences could step over.
+/// Options without cut-offs, which a difference could cross.
 fn smooth(options: Options) -> Options {
     Options { alpha: AlphaLimits { largest: 1.0, cutoff: 0.0 }, background: [0.2, 0.5, 0.7], ..options }
 }
@@ -98,13 +98,13 @@ fn model(shading: ShadingOptions) -> Options {
     Options { gathered: Some(gathered), ..smooth(Options::model(shading, tables)) }
 }
 
-/// Everything there is, in one number.
+/// A sum of all terms, as one number.
 fn everything<'t>(tape: &'t Tape, scene: &ReferenceModel, options: &Options) -> (Parameters<'t>, Var<'t>) {
     let camera = camera();
     let pass = forward(tape, scene, &camera, options);
     let mut terms = objective(&pass, &camera, &target(), options, &[]);
     terms.insert("occ", occlusion(&pass, &camera, options, Labels::Differentiated));
-    // Depth is in no term; neither is the specular part alone.
+    // No term contains depth or the specular part alone.
     terms.insert("depth", (pass.buffer.depth * pass.shaded.specular).mean());
     let weights: Vec<(&str, f64)> = terms.keys().map(|name| (*name, 1.0)).collect();
     let sum = weighted_sum(tape, &terms, &weights);
@@ -122,7 +122,7 @@ fn analytic(options: &Options) -> Arrays {
     parameters.gradients(&tape.gradients(sum))
 }
 
-/// The worst difference to central differences over one parameter, relative to its largest gradient.
+/// The largest difference from central differences over one parameter, relative to its largest gradient.
 fn worst_error(name: &str, gradient: &Array, options: &Options) -> f64 {
     let moved = |i: usize, by: f64| {
         let mut scene = scene();
@@ -134,7 +134,7 @@ fn worst_error(name: &str, gradient: &Array, options: &Options) -> f64 {
         let numeric = (moved(i, step) - moved(i, -step)) / (2.0 * step);
         (numeric - gradient.data()[i]).abs() / largest
     };
-    // A step may cross a kink, such as a cosine turning negative; a hundredth of it hardly does.
+    // A step may cross a kink, such as a change of a cosine's sign; a step of 1/100 rarely does.
     let error = |i: usize| match error(i, 1e-5) {
         coarse if coarse < TOLERANCE => coarse,
         coarse => coarse.min(error(i, 1e-7)),
@@ -194,7 +194,7 @@ fn minimal_form_gradients_agree_with_differences() {
         indirect: IndirectForm::Off,
         ..ShadingOptions::default()
     };
-    // Visibility still meets its probes and labels.
+    // Visibility still has the terms of its probes and labels.
     gradients_hold("bare", &model(shading), &["ind_sh"]);
 }
 
@@ -205,7 +205,7 @@ fn quadrature_form_gradients_agree_with_differences() {
     gradients_hold("quadrature", &options, &[]);
 }
 
-/// The default form under two lights of their own, a part of which arrives.
+/// The default form under two dominant lights that arrive in part.
 fn with_lights() -> Options {
     let mut shares = vec![[0.0; MAX_LIGHTS]; ENV.0 * ENV.1];
     shares[10] = [0.8, 0.0, 0.0, 0.0];
@@ -231,7 +231,7 @@ fn separate_light_gradients_agree_with_differences() {
     assert!(apart.abs() > 1e-4, "the control: the lights are seen");
 }
 
-/// A thin, slightly bent wall right before the camera: depths that form a surface.
+/// A thin, slightly bent wall close to the camera, whose depths form a surface.
 fn wall() -> ReferenceModel {
     let mut scene = scene();
     let mut set = |name: &str, values: Vec<f64>| scene.values_mut(name).unwrap().copy_from_slice(&values);

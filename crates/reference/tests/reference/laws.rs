@@ -1,4 +1,4 @@
-//! Physical and mathematical laws that the reference engine's parts obey in any scene, and its errors.
+//! Physical and mathematical laws of the reference engine that hold in every scene, and its errors.
 
 use std::f64::consts::PI;
 
@@ -44,7 +44,7 @@ fn camera_from(eye: DVec3) -> Camera {
     Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.7, (17, 17)).unwrap()
 }
 
-/// Our forward model, with free normals since the ball's Gaussians are round.
+/// The forward model of docs/MODEL.md, with free normals, since the ball's Gaussians are round.
 fn options(radiance: Array) -> Options {
     let shading = ShadingOptions { normal: NormalForm::Free, ..ShadingOptions::default() };
     Options { environment: Some(radiance), ..Options::model(shading, tables()) }
@@ -152,13 +152,13 @@ fn one_bright_texel_lights_the_ball_from_its_direction() {
         let best = (0..17 * 17).max_by(|a, b| lit(a).total_cmp(&lit(b))).unwrap();
         DVec3::from_slice(frame["normal"].row(best))
     };
-    // Straight from the convention: columns run against the azimuth, rows down from +Z.
+    // By the convention, columns run against the azimuth and rows down from +Z.
     for light in [DVec3::new(1.0, 0.3, 0.4), DVec3::new(-0.5, 1.0, -0.2), DVec3::new(0.2, -0.6, 1.0)] {
         let light = light.normalize();
         let (u, v) = ((0.5 - light.y.atan2(light.x) / (2.0 * PI)), light.z.acos() / PI);
         let texel = (v * 16.0) as usize * 32 + (u * 32.0) as usize;
         assert!(brightest_normal(texel, light * 4.0).dot(light) > 0.93, "{light}");
-        // The same map mirrored left to right lights another side.
+        // The same map mirrored left to right illuminates another side.
         let mirrored = texel - texel % 32 + 31 - texel % 32;
         assert!(brightest_normal(mirrored, light * 4.0).dot(light) < 0.93, "{light}");
         let [du, dv] = direction_to_uv(light);

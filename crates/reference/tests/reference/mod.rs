@@ -1,5 +1,4 @@
-//! The f64 reference engine: against the article's own listing, against central differences, and against the
-//! laws its parts must obey.
+//! The f64 reference engine against the article's listing, against central differences, and against physical laws.
 
 #![allow(clippy::unwrap_used)]
 

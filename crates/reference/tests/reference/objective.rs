@@ -1,4 +1,4 @@
-//! The objective of the trainer, f32 with gradients by hand, against the reference's terms.
+//! The trainer's objective, f32 with manual gradients, against the reference's terms.
 
 use glam::DVec3;
 use relume_compare::relative_error;
@@ -14,7 +14,7 @@ use relume_scene::{Camera, Field, Model, ShadingOptions};
 
 use super::parity::{BACKGROUND, GAUSSIANS, Noise, SIZE, as_arrays, camera, distance, model, wide};
 
-/// Every term with a weight of its own, so that none can stand in for another.
+/// Every term with a different weight, so that a mix-up fails.
 const WEIGHTS: [(&str, f64); 16] = [
     ("img_mae", 1.0),
     ("img_dssim", 0.25),
@@ -39,7 +39,7 @@ fn weight(name: &str) -> f32 {
     WEIGHTS.iter().find(|(n, _)| *n == name).unwrap().1 as f32
 }
 
-/// A thin wall of overlapping Gaussians, so that depths form a surface, with uneven normals.
+/// A thin wall of overlapping Gaussians with uneven normals, whose depths form a surface.
 fn wall() -> Model {
     let mut model = model(5, ShadingOptions::default());
     let mut noise = Noise(9);
@@ -59,7 +59,7 @@ fn facing_the_wall() -> Camera {
     Camera::look_at(DVec3::new(0.3, -3.0, 0.4), DVec3::ZERO, DVec3::Z, 0.5, SIZE).unwrap()
 }
 
-/// A photograph of noise, and probe labels of noise.
+/// A random photograph, and random probe labels.
 fn photograph(camera: &Camera, seed: u64) -> (Photo, Vec<f32>) {
     let mut noise = Noise(seed);
     let count = (SIZE.0 * SIZE.1) as usize;
@@ -151,7 +151,7 @@ fn trainer_objective_and_gradient_match_the_reference() {
         println!("{parameter:14} {worst:.1e}");
         assert!(worst < 1e-3, "{parameter}: {worst:e}");
     }
-    // And the comparison can fail: another view has another gradient.
+    // Negative control: another view has another gradient.
     let (_, other) = by_trainer(&wall, &Photo { camera: camera(2), ..photo }, &probes);
     let control = distance(&other["means"], &reference["means"]);
     assert!(control.is_finite() && control > 0.1, "{control}");
@@ -188,7 +188,7 @@ fn gradient_under_fractional_column_rotation_is_correct() {
     let (photo, probes) = photograph(&facing_the_wall(), 3);
     let photo = Photo { light: LightRotation { radians: 2.1, block: 0 }, ..photo };
     let found = outcome(&wall, &photo, &probes).gradients.env_raw;
-    // Along the gradient itself, so that the difference stands out from rounding.
+    // Along the gradient itself, so that the difference exceeds rounding.
     let length = found.as_flattened().iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
     let at = |step: f64| {
         let mut moved = wall.clone();

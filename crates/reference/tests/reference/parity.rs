@@ -1,4 +1,4 @@
-//! The f32 CPU engine and the f64 reference are the same function, and so are their gradients.
+//! The f32 CPU engine and the f64 reference compute the same function and the same gradients.
 
 use std::sync::LazyLock;
 
@@ -17,9 +17,9 @@ use relume_scene::{
 pub(super) const GAUSSIANS: usize = 40;
 pub(super) const SIZE: (u32, u32) = (37, 21);
 pub(super) const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
-/// Relative to the largest value of an image; measured 1e-6.
+/// Largest error relative to the largest value of an image; measured 1e-6.
 const TOLERANCE_VALUE: f64 = 1e-5;
-/// Relative to the largest gradient of a parameter; measured 1e-5.
+/// Largest error relative to the largest gradient of a parameter; measured 1e-5.
 const TOLERANCE_GRADIENT: f64 = 1e-4;
 
 static LIGHT: LazyLock<LightShape> = LazyLock::new(|| LightShape::new(32, 16, 4, TableResolution::TRAINING));
@@ -89,7 +89,7 @@ fn gathered_light(seed: u64) -> Vec<[f32; 6]> {
     (0..GAUSSIANS).map(|_| std::array::from_fn(|_| 0.2 + 0.1 * noise.next())).collect()
 }
 
-/// The case `seed`, answered by both engines: the CPU engine's answer, the reference's.
+/// Results of the case `seed`: the CPU engine's and the reference's.
 fn answers(model: &Model, seed: u64) -> [ParityResult; 2] {
     let (camera, gathered) = (camera(seed), gathered_light(seed));
     let question =
@@ -97,7 +97,7 @@ fn answers(model: &Model, seed: u64) -> [ParityResult; 2] {
     [cpu_result(&question), reference_result(&question)]
 }
 
-/// Three lights, one at its texels' centre and as wide as they are, one a point, one that is seen from below only.
+/// Three lights: one at the centre of its texels and as wide as they are, one point, one that is visible only from below.
 pub(super) fn lights() -> LightSplit {
     let texels = texel_directions(32, 16);
     let radii = [0.15, 0.0, 0.05];
@@ -114,7 +114,7 @@ pub(super) fn lights() -> LightSplit {
     LightSplit { lights, shares }
 }
 
-/// The case `seed` with lights of its own, a part of which arrives; both engines' answers.
+/// Results of the case `seed` with dominant lights that arrive in part, of both engines.
 fn answers_with_lights(model: &Model, seed: u64, split: &LightSplit) -> [ParityResult; 2] {
     let (camera, gathered, light) = (camera(seed), gathered_light(seed), LIGHT.with_lights(split));
     let mut noise = Noise(seed ^ 0xbeef);
@@ -134,7 +134,7 @@ fn cpu_engine_matches_the_reference_with_separate_lights() {
     let split = lights();
     for seed in 1..=4 {
         let mut model = model(seed, ShadingOptions::default());
-        // The texels of the lights are what stands out.
+        // The texels of the lights are much brighter.
         let lit = split.shares.iter().zip(&mut model.env_raw).filter(|(m, _)| m.iter().any(|s| *s > 0.0));
         lit.for_each(|(_, raw)| *raw = raw.map(|v| v + 6.0));
         let [cpu, reference] = answers_with_lights(&model, seed, &split);
@@ -146,13 +146,13 @@ fn cpu_engine_matches_the_reference_with_separate_lights() {
             println!("lights {seed} {parameter:14} {worst:.1e}");
             assert!(worst < TOLERANCE_GRADIENT, "{seed} {parameter}: {worst:e}");
         }
-        // The control: the same light without lights of its own is another image.
+        // Negative control: the same environment without dominant lights gives another image.
         let [whole, _] = answers(&model, seed);
         assert!(image_error(&whole.physical, &cpu.physical) > 10.0 * TOLERANCE_VALUE);
     }
 }
 
-/// The CPU engine's gradients under the reference's names.
+/// The CPU engine's gradients by the reference's parameter names.
 pub(super) fn as_arrays(model: &Model, found: &Gradients, by_raw: &[[f32; 3]]) -> Arrays {
     let mut gradients = Arrays::from([(PROTOTYPES, wide(&found.prototypes)), (ENVIRONMENT, wide(by_raw))]);
     for field in Field::ALL {
@@ -195,7 +195,7 @@ fn engines_agree(name: &str, shading: ShadingOptions) {
     }
 }
 
-/// One sigma of offset and of clearance, as the reference has it.
+/// One sigma of offset and of clearance, as in the reference.
 const PLAIN: ProbeSettings =
     ProbeSettings { offset: 1.0, lift: 0.0, clearance: 1.0, bias: 0.0, reach: f32::INFINITY };
 
@@ -266,7 +266,7 @@ fn cpu_probes_match_the_reference() {
     let scene = ReferenceModel::from_model(&model);
     let measure = |normals: &[[f32; 3]]| Probes::measure(&scene, &wide(normals), &wide(&directions), 1.0);
     let reference = measure(&normals);
-    // The CPU engine calls a transmittance below 1e-3 opaque.
+    // The CPU engine treats a transmittance below 1e-3 as 0.
     let error =
         |reference: &Probes| {
             let pairs = (0..GAUSSIANS).flat_map(|i| (0..48).map(move |k| (i, k)));

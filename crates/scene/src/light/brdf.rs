@@ -41,7 +41,7 @@ pub struct LutSample<T> {
 }
 
 impl BrdfLut {
-    /// Integrates the table with `samples` low-discrepancy half vectors a texel.
+    /// Integrates the table with `samples` low-discrepancy half vectors per texel.
     pub fn build(resolution: usize, samples: u32) -> Self {
         let mut values = Vec::with_capacity(resolution * resolution);
         for row in 0..resolution {

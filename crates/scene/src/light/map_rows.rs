@@ -1,11 +1,11 @@
-//! Sizes to which environment maps are reduced, rows; a map has twice as many columns. They stand in one place, since one map
-//! passes through several of them.
+//! Sizes to which environment maps are reduced, in rows; a map has twice as many columns. The sizes are together in one file,
+//! since one map passes through several of them.
 
-/// Maps that frames are rendered with: a texel of 0.18 degrees, a third of the sun's width.
+/// Maps with which frames are rendered: a texel of 0.18 degrees, a third of the sun's width.
 pub const RENDERED_ROWS: usize = 1024;
-/// Maps that Monte-Carlo samples are drawn from: a texel of 0.35 degrees, two thirds of the sun's width.
+/// Maps from which Monte-Carlo samples are drawn: a texel of 0.35 degrees, two thirds of the sun's width.
 pub const SAMPLED_ROWS: usize = 512;
-/// Maps in which strong small lights are looked for. Larger maps are reduced first, which keeps their power.
+/// Maps in which dominant lights are searched. Larger maps are reduced first, which keeps their power.
 pub const LIGHT_SEARCH_ROWS: usize = 512;
 /// Maps with fewer rows have no small lights: a texel of 5.6 degrees is wider than one.
 pub const MIN_LIGHT_SEARCH_ROWS: usize = 32;

@@ -14,8 +14,9 @@ use crate::light::map_rows::DIFFUSE_ROWS;
 use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, sh_eval};
 use crate::{EnvMap, sh_count, texel_directions};
 
-/// Nodes along a cube edge for normals; the next constant has those of each specular level.
+/// Nodes along a cube edge for normals.
 const DIFFUSE_NODES: usize = 17;
+/// Nodes along a cube edge for each specular level.
 const SPECULAR_NODES: [usize; SPECULAR_LEVELS.len()] = [65, 33, 33, 17, 17, 17];
 /// Lobe samples per node.
 const SAMPLES: u32 = 192;

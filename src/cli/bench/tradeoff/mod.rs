@@ -27,7 +27,7 @@ pub(super) struct TradeoffArgs {
     /// Models of this capture, e.g. one per training preset.
     #[arg(required = true)]
     models: Vec<PathBuf>,
-    /// The folder for `tradeoff.csv`, `tradeoff.md` and `tradeoff.svg`.
+    /// The folder for the files `tradeoff` with the endings `.csv`, `.md` and `.svg`.
     #[arg(long)]
     out: PathBuf,
     /// Longest side of the views, pixels.
