@@ -99,7 +99,7 @@ async fn restored_job_without_its_checkpoint_starts_over() {
     std::fs::remove_file(data.path().join(checkpoint)).unwrap();
     let (backup, elsewhere) = (backup(data.path(), &out.path().join("b")), out.path().join("elsewhere"));
     succeeds(&backup);
-    assert!(String::from_utf8_lossy(&backup.stdout).contains("1 jobs will start over"));
+    assert!(String::from_utf8_lossy(&backup.stdout).contains("1 jobs will restart from step 0"));
     succeeds(&restore(&out.path().join("b"), &elsewhere));
     let store = relume::store::Store::open(&elsewhere).await.unwrap();
     let restored = store.job(&relume_api::TenantId::of_operator(), &job.id).await.unwrap().unwrap();
@@ -130,9 +130,9 @@ async fn an_incomplete_or_damaged_backup_is_refused() {
     let manifest = out.path().join("backup.json");
     let complete = std::fs::read(&manifest).unwrap();
     std::fs::remove_file(&manifest).unwrap();
-    refused("is no backup: it has no backup.json");
+    refused("is not a backup: it has no backup.json");
     std::fs::write(&manifest, &complete[..complete.len() / 2]).unwrap();
-    refused("is no backup: backup.json");
+    refused("is not a backup: backup.json");
     std::fs::write(&manifest, &complete).unwrap();
 
     for (part, why) in [("model.ply", "is damaged"), ("captures/", "is damaged"), ("backup.db", "is damaged")]

@@ -78,7 +78,7 @@ fn turntable_frames_equal_single_renders_and_can_be_resumed() {
     assert_eq!(names(&frames), files[2..3]);
     succeeds(at, &[&turntable[..], &["--frames", "1001-1004:3,1002"]].concat());
     assert!(files.map(read) == whole, "frames of a task are those of the sequence");
-    fails_with(at, &[&turntable[..], &["--frames", "1005"]].concat(), "they are 1001 to 1004");
+    fails_with(at, &[&turntable[..], &["--frames", "1005"]].concat(), "the frames are 1001 to 1004");
     fails_with(at, &[&turntable[..], &["--frames", "4-1"]].concat(), "1-10");
 }
 
@@ -105,7 +105,7 @@ fn camera_files_are_rendered_and_invalid_ones_refused_first() {
     for (more, word) in [
         (&["--out", "n.png"][..], "%04d"),
         (&["--turntable", "3", "--out", "n/%d.png"], "--turntable"),
-        (&["--resolution", "64x64", "--out", "n/%d.png"], "stretch"),
+        (&["--resolution", "64x64", "--out", "n/%d.png"], "aspect ratio"),
         (&["--alpha", "straight", "--out", "n/%d.png"], "alpha"),
         (&["--primaries", "acescg", "--out", "n/%d.jpg"], "primaries"),
     ] {

@@ -71,7 +71,7 @@ fn texts(value: &serde_json::Value, at: &str, found: &mut Vec<(String, String)>)
 
 /// What a text says that only readers of the source code understand.
 fn source_reference(text: &str) -> Option<&'static str> {
-    ["[`", "Eq. ", "docs/", "crates/", "src/", "::", "article"].into_iter().find(|part| text.contains(part))
+    ["[`", "Eq. ", "docs/", "crates/", "src/", "::"].into_iter().find(|part| text.contains(part))
 }
 
 #[test]

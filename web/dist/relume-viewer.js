@@ -1,1 +1,1 @@
-export{t as RelumeViewer}from"./assets/element-CeATKNJ6.js";
+export{t as RelumeViewer}from"./assets/element-CXk7gg1H.js";

@@ -103,7 +103,7 @@ mod tests {
         let large = views(&file, Some((128, 96))).unwrap()[0];
         assert_eq!((large.camera.width, large.camera.height, large.light_rotation_deg), (128, 96, 30.0));
         assert!((large.camera.fy - 2.0 * small.camera.fy).abs() < 1e-9);
-        assert!(views(&file, Some((128, 128))).unwrap_err().contains("stretch"));
+        assert!(views(&file, Some((128, 128))).unwrap_err().contains("aspect ratio"));
     }
 
     #[test]
@@ -112,7 +112,7 @@ mod tests {
         for (file, word) in [
             (json!({}), "camera_path"),
             (json!({ "cameras": [] }), "has 0 cameras"),
-            (json!({ "cameras": [{ "camera": {} }] }), "cameras[0].camera: must have one of"),
+            (json!({ "cameras": [{ "camera": {} }] }), "cameras[0].camera: must have exactly one of"),
             (json!({ "cameras": [{ "camera": look }] }), "cameras[0].camera.look_at.target"),
             (json!({ "cameras": [{ "camera": { "fov": 3 } }] }), "cameras[0].camera.fov"),
             (json!({ "camera_path": [{ "camera_to_world": [1, 2], "fov": 50 }] }), "camera_path[0]"),

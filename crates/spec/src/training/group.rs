@@ -39,7 +39,7 @@ macro_rules! group {
                 $(#[doc = $doc])+
                 $(#[serde($($attribute)+)])?
                 #[serde(skip_serializing_if = "Option::is_none")]
-                #[schema(default = $default)]
+                #[schema(value_type = $type, required = false, default = $default)]
                 pub $name: Option<$type>,
             )+
         }

@@ -10,32 +10,32 @@ use serde::{Deserialize, Serialize};
 pub struct ShadingChanges {
     /// Form of the visibility field.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(default = json!("linear"))]
+    #[schema(value_type = VisibilityForm, required = false, default = json!("linear"))]
     pub visibility: Option<VisibilityForm>,
     /// Form of the diffuse term.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(default = json!("directional"))]
+    #[schema(value_type = DiffuseForm, required = false, default = json!("directional"))]
     pub diffuse: Option<DiffuseForm>,
     /// Place of shading.
     #[serde(alias = "diffuse_at", skip_serializing_if = "Option::is_none")]
-    #[schema(default = json!("gaussian"))]
+    #[schema(value_type = ShadeAt, required = false, default = json!("gaussian"))]
     pub shade_at: Option<ShadeAt>,
     /// Source of normals.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(default = json!("shortest_axis"))]
+    #[schema(value_type = NormalForm, required = false, default = json!("shortest_axis"))]
     pub normal: Option<NormalForm>,
     /// Indirect light.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(default = json!("gathered"))]
+    #[schema(value_type = IndirectForm, required = false, default = json!("gathered"))]
     pub indirect: Option<IndirectForm>,
     /// Screen-space low-pass added to the projected covariance, px^2.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(default = 0.3)]
+    #[schema(value_type = f32, required = false, default = 0.3)]
     pub low_pass: Option<f32>,
     /// Scales the opacity so that the low-pass does not change the total weight of a splat (Mip-Splatting).
     /// Without it, splats become too wide in small images.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(default = true)]
+    #[schema(value_type = bool, required = false, default = true)]
     pub low_pass_compensation: Option<bool>,
     /// Maximum distance of an occluder, world units. Omitted: any distance; for captures without masks, a
     /// distance that the training chooses.
@@ -43,7 +43,7 @@ pub struct ShadingChanges {
     pub occluder_reach: Option<f32>,
     /// True: images are clamped and sRGB-encoded. False: images are only clamped.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(default = true)]
+    #[schema(value_type = bool, required = false, default = true)]
     pub srgb: Option<bool>,
 }
 

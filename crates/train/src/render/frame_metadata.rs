@@ -37,7 +37,7 @@ impl FrameMetadata {
             ("relume:alpha", alpha.note().to_owned()),
         ];
         if tier == Tier::MonteCarlo {
-            texts.push(("relume:samples", format!("{samples}, seed {seed}")));
+            texts.push(("relume:samples", format!("{samples} of seed {seed}")));
         }
         texts.retain(|(_, text)| !text.is_empty());
         let frames_per_second = self.frames_per_second;
