@@ -95,11 +95,7 @@ enum Command {
 impl Command {
     /// Whether the command runs until it is stopped.
     fn is_service(&self) -> bool {
-        match self {
-            Self::Serve(_) => true,
-            Self::Worker(_) => true,
-            _ => false,
-        }
+        matches!(self, Self::Serve(_) | Self::Worker(_))
     }
 }
 

@@ -105,8 +105,7 @@ mod tests {
     fn a_lost_device_is_reopened_once_for_all_threads() {
         // A separate device, because the test destroys it.
         let Device::Gpu(shared) = relume_reference::gpu_device() else { panic!("the device is a GPU") };
-        let gpu =
-            Gpu::open(&Adapters::find(), shared.report().index as usize, GpuOptions::default()).unwrap();
+        let gpu = Gpu::open(&Adapters::find(), shared.report().index, GpuOptions::default()).unwrap();
         let choice = DeviceChoice::Gpu(Some(gpu.report().index as _));
         let mut one = OpenedDevice::of(choice, Device::Gpu(gpu.clone()));
         let mut other = one.shared();

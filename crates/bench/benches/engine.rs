@@ -213,7 +213,7 @@ fn step(b: Bencher, warm_up: f32, side: u32, gaussians: u32) {
 #[divan::bench(args = [Tier::Preview, Tier::Standard])]
 fn relit_frame_256(b: Bencher, tier: Tier) {
     let renderer = Renderer::new(model().clone().into());
-    let light = renderer.prepare_light(&EnvMap::constant(64, 32, [1.0; 3])).unwrap();
+    let light = renderer.prepare_light(EnvMap::constant(64, 32, [1.0; 3])).unwrap();
     b.bench_local(|| renderer.render(&camera(256), &light, tier, &[Output::Rgb]).unwrap());
 }
 

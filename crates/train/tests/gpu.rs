@@ -96,7 +96,7 @@ fn every_output_of_every_tier_matches_the_cpu_engine() {
             assert!(error < 2e-3, "{tier:?} {output:?}: {error}");
         }
     }
-    let other = gpu.prepare_light(&EnvMap::constant(8, 4, [1.0; 3])).unwrap();
+    let other = gpu.prepare_light(EnvMap::constant(8, 4, [1.0; 3])).unwrap();
     let (a, b) = (&lights.1, &other);
     let rgb = |light| {
         gpu.render(camera, light, Tier::Standard, &[Output::Rgb]).unwrap().planes[&Output::Rgb].clone()
@@ -124,7 +124,7 @@ fn large_image_rendered_in_bands_has_no_seam() {
     let renderers = [Renderer::on(model(), gpu_device()).unwrap(), Renderer::on(model(), &narrow).unwrap()];
     let camera = capture().test[0].camera.resized(256, 256);
     let frames = renderers.map(|r| {
-        let light = r.prepare_light(&EnvMap::constant(8, 4, [1.0; 3])).unwrap();
+        let light = r.prepare_light(EnvMap::constant(8, 4, [1.0; 3])).unwrap();
         r.render(&camera, &light, Tier::Standard, &[Output::Rgb, Output::Depth]).unwrap()
     });
     for (output, plane) in &frames[0].planes {
@@ -155,10 +155,10 @@ fn concurrent_frames_match_single_threaded_frames() {
         renderer.render(&camera, light, quality, &[Output::Rgb, Output::Normal]).unwrap()
     };
     let lone = Renderer::on(model(), gpu_device()).unwrap();
-    let light = lone.prepare_light(&sun()).unwrap();
+    let light = lone.prepare_light(sun()).unwrap();
     // Fresh: the lists of its first views are short.
     let shared = Renderer::on(model(), gpu_device()).unwrap();
-    let shared_light = shared.prepare_light(&sun()).unwrap();
+    let shared_light = shared.prepare_light(sun()).unwrap();
     std::thread::scope(|scope| {
         let drawn =
             |thread| views(thread).map(|view| render(&shared, &shared_light, view)).collect::<Vec<_>>();

@@ -174,7 +174,7 @@ mod on_gpu {
             model.shading.indirect = indirect;
             let model = Arc::new(model);
             let shown = |renderer: Renderer, tier: Tier| {
-                let light = renderer.prepare_light(&sun()).unwrap();
+                let light = renderer.prepare_light(sun()).unwrap();
                 let outputs = [Output::Rgb, Output::Diffuse, Output::Specular];
                 let outputs = if tier == Tier::Preview { &outputs[..1] } else { &outputs[..] };
                 renderer.render(&camera(48), &light, tier, outputs).unwrap().planes

@@ -296,7 +296,7 @@ fn equal_seeds_give_equal_bytes_on_one_and_four_threads() {
 #[test]
 fn samples_out_of_range_are_refused_and_bright_lights_finite() {
     let renderer = Renderer::new(table());
-    let light = renderer.prepare_light(&sun()).unwrap();
+    let light = renderer.prepare_light(sun()).unwrap();
     for samples in [0, Quality::MAX_SAMPLES + 1] {
         let refused = renderer.render(&camera(8), &light, Quality::monte_carlo(samples), &[Output::Rgb]);
         assert!(refused.unwrap_err().to_string().starts_with("samples: "));

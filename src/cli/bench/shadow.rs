@@ -68,7 +68,7 @@ fn ground_of(renderer: &Renderer, view: &CaptureView) -> CommandResult<Vec<Groun
     let (Some(albedo), Some(normal)) = (&view.truth.albedo, &view.truth.normal) else {
         return Err(format!("{}: has no true albedo or no true normals", view.name).into());
     };
-    let light = renderer.prepare_light(&EnvMap::constant(8, 4, [1.0; 3]))?;
+    let light = renderer.prepare_light(EnvMap::constant(8, 4, [1.0; 3]))?;
     let frame = renderer.render(&view.camera, &light, Tier::Standard, &[Output::Albedo])?;
     let found = frame.planes.get(&Output::Albedo).map_or(&[][..], Vec::as_slice).as_chunks::<3>().0;
     let mean = |v: [f32; 3]| v.iter().sum::<f32>() / 3.0;

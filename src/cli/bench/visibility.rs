@@ -93,7 +93,7 @@ fn measure(args: &VisibilityArgs, capture: &Capture, bench_model: &BenchModel) -
 fn ambient_occlusion(renderer: &Renderer, view: &CaptureView) -> CommandResult<Vec<[f64; 2]>> {
     let Some(truth) = &view.truth.ambient_occlusion else { return Ok(Vec::new()) };
     // The field does not depend on the light.
-    let light = renderer.prepare_light(&EnvMap::constant(8, 4, [1.0; 3]))?;
+    let light = renderer.prepare_light(EnvMap::constant(8, 4, [1.0; 3]))?;
     let frame = renderer.render(&view.camera, &light, Tier::Standard, &[Output::Visibility])?;
     let found = frame.planes.get(&Output::Visibility).map_or(&[][..], Vec::as_slice);
     let pixels = found.iter().zip(&truth.values).zip(view.image.pixels());

@@ -141,7 +141,7 @@ mod tests {
     /// under one of radiance `shaded`.
     fn baking_error(baked: f32, shaded: f32) -> f64 {
         let renderer = Renderer::new(Arc::new(model()));
-        let light = |level: f32| renderer.prepare_light(&EnvMap::constant(16, 8, [level; 3])).unwrap();
+        let light = |level: f32| renderer.prepare_light(EnvMap::constant(16, 8, [level; 3])).unwrap();
         let model = renderer.baked(&light(baked), MAX_BAKED_DEGREE);
         let light = light(shaded);
         let on_cpu = renderer.light_on_cpu(&light);

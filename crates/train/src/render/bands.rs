@@ -197,7 +197,7 @@ mod tests {
     fn frame_rendered_in_bands_equals_the_whole_frame() {
         let renderer = balls();
         let texel = |d: DVec3| if d.z > 0.9 { [9.0, 8.0, 7.0] } else { [0.4 + 0.3 * d.x as f32, 0.4, 0.5] };
-        let light = renderer.prepare_light(&EnvMap::from_fn(64, 32, texel)).unwrap();
+        let light = renderer.prepare_light(EnvMap::from_fn(64, 32, texel)).unwrap();
         let camera =
             Camera::look_at(DVec3::new(0.2, -3.0, 0.4), DVec3::ZERO, DVec3::Z, 0.7, (50, 70)).unwrap();
         let outputs = [Output::Rgb, Output::Normal, Output::Visibility];
