@@ -42,7 +42,7 @@ impl LightRotations {
     }
 
     /// The rotations of photographs whose light is rotated by `degrees`, and the block of each photograph. Above
-    /// [`MAX_LIGHT_ROTATIONS`] different rotations, gathered light is measured at multiples of 1/16 of a full turn.
+    /// `MAX_LIGHT_ROTATIONS` different rotations, gathered light is measured at multiples of 1/16 of a full turn.
     pub fn of(degrees: &[f64]) -> (Self, Vec<LightRotation>) {
         let radians: Vec<f64> = degrees.iter().map(|d| d.rem_euclid(360.0).to_radians()).collect();
         let mut stands: Vec<f64> = radians.clone();
