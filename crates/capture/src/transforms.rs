@@ -152,7 +152,7 @@ fn matrix(rows: &[Vec<f64>]) -> Option<DMat4> {
 }
 
 impl RawLens {
-    /// Each field of `self`, or that of `shared` where `self` has none.
+    /// Takes each field from `self`. Fields that `self` does not have come from `shared`.
     fn or(&self, shared: &Self) -> Self {
         macro_rules! each {
             ($($field:ident)*) => {

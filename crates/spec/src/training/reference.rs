@@ -13,7 +13,7 @@ pub struct Setting {
     pub path: String,
     /// The type of its value in Rust.
     pub kind: &'static str,
-    /// What it does, one or a few sentences.
+    /// Its effect, in one or a few sentences.
     pub documentation: String,
     /// The accepted range, if it is a number.
     pub range: Option<String>,

@@ -104,7 +104,7 @@ fn put_truth(
     }
 }
 
-/// Replaces the frame's alpha channel by that of the photograph; colours are premultiplied.
+/// Replaces the alpha channel of the frame with the alpha channel of the photograph. Colours are premultiplied.
 fn set_alpha(frame: &mut Frame, view: &CaptureView) {
     let found = frame.planes.get(&Output::Alpha).cloned().unwrap_or_default();
     let wanted: Vec<f32> = view.image.alpha();

@@ -175,7 +175,7 @@ impl Evaluation<'_> {
         Ok(())
     }
 
-    /// Compares albedo after alignment: that of the aligned model, so the scale is applied only once.
+    /// Compares the albedo of the aligned model with the truth. The model is aligned already, so the comparison scales nothing.
     fn aligned_albedo(&self, aligned: &Renderer, report: &mut Report) -> Result<(), EvalError> {
         let light = aligned.prepare_light(aligned.model().recovered_light())?;
         let (mut whole, mut foreground) = (Mean::default(), Mean::default());
