@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use serde_json::Value;
 
-use super::{LearningRates, LossWeights, Preset, TrainConfig, declared, shading};
+use super::{LearningRateChanges, LossWeightChanges, Preset, ShadingChanges, TrainConfig, declared};
 
 /// A setting as a caller names it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -69,9 +69,9 @@ pub fn settings() -> Vec<Setting> {
         })
         .collect();
     for (group, fields, range) in [
-        ("shading", shading::declared(), None),
-        ("weights", LossWeights::declared(), Some("0 to 1000")),
-        ("rates", LearningRates::declared(), Some("0 to 1000")),
+        ("shading", ShadingChanges::declared(), None),
+        ("weights", LossWeightChanges::declared(), Some("0 to 1000")),
+        ("rates", LearningRateChanges::declared(), Some("0 to 1000")),
     ] {
         all.extend(fields.into_iter().map(|(name, kind, text)| Setting {
             path: format!("{group}.{name}"),
