@@ -1,13 +1,13 @@
-// Chromium without a window, with WebGPU on a software device, spoken to over a pipe.
+// Drives headless Chromium over a pipe (DevTools protocol). WebGPU runs on a software device.
 import { spawn } from 'node:child_process';
 import { mkdtemp, rm } from 'node:fs/promises';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 
-// Without these headless Chromium has no adapter, or a canvas that stays blank.
+// Without these flags headless Chromium finds no adapter, or leaves the canvas blank.
 const WEBGPU = ['--enable-unsafe-webgpu', '--use-angle=swiftshader', '--enable-features=Vulkan', '--use-vulkan=swiftshader'];
 
-/** Starts `program`; `close` ends it. */
+/** Starts the browser `program`; `close` stops it. */
 export async function openBrowser(program, flags = WEBGPU) {
     const profile = await mkdtemp(join(tmpdir(), 'relume-browser-'));
     const common = ['--headless', '--no-sandbox', '--no-first-run', '--remote-debugging-pipe', `--user-data-dir=${profile}`];
@@ -25,7 +25,7 @@ export async function openBrowser(program, flags = WEBGPU) {
             else asked?.resolve(result);
         }
     });
-    process.on('exit', () => waiting.forEach(({ reject }) => reject(new Error('the browser ended'))));
+    process.on('exit', () => waiting.forEach(({ reject }) => reject(new Error('the browser exited'))));
     const send = (method, params = {}, sessionId) =>
         new Promise((resolve, reject) => {
             waiting.set(++number, { resolve, reject });
@@ -40,7 +40,7 @@ export async function openBrowser(program, flags = WEBGPU) {
     return { send, close };
 }
 
-/** A page of `browser` at `url`; `run(f, ...values)` calls a function in it and gives what it returns, as JSON. */
+/** Opens `url` in a page of `browser`. `run(f, ...values)` calls `f` in the page and returns its result, passed as JSON. The script `before` runs first. */
 export async function openPage({ send }, url, before = '') {
     const { targetId } = await send('Target.createTarget', { url: 'about:blank' });
     const { sessionId } = await send('Target.attachToTarget', { targetId, flatten: true });

@@ -1,4 +1,4 @@
-// Never run: it has to pass `tsc --strict` against the types of the package in web/.
+// This file is not run. It must pass `tsc --strict` against the types of the package in web/.
 import createClient from 'openapi-fetch';
 import type { components, paths } from 'relume-web/api';
 import type { RelumeViewer } from 'relume-web/viewer';
@@ -31,20 +31,20 @@ export async function shown(): Promise<Blob> {
     return viewer.snapshot();
 }
 
-// What is wrong must not compile: an error that is missing here is an error of its own.
+// None of these calls may compile: tsc reports an unused @ts-expect-error as an error.
 export const wrong = [
-    // @ts-expect-error a field that no job has
+    // @ts-expect-error a job has no such field
     { capture: 'ID', itterations: 3 } satisfies components['schemas']['NewJob'],
-    // @ts-expect-error a field that no answer has
+    // @ts-expect-error the response has no such field
     client.GET('/v1/jobs/{id}', { params: { path: { id: 'ID' } } }).then(({ data }) => data?.models),
-    // @ts-expect-error a preset that there is not
+    // @ts-expect-error there is no such preset
     client.POST('/v1/jobs', { body: { capture: 'ID', preset: 'best' } }),
-    // @ts-expect-error a field that is needed
+    // @ts-expect-error a required field is missing
     client.POST('/v1/jobs', { body: { preset: 'draft' } }),
-    // @ts-expect-error a path that there is not
+    // @ts-expect-error there is no such path
     client.GET('/v1/photographs', {}),
-    // @ts-expect-error a path without its identifier
+    // @ts-expect-error the path parameter is missing
     client.GET('/v1/jobs/{id}', {}),
-    // @ts-expect-error a property that the viewer lacks
+    // @ts-expect-error the viewer has no such property
     document.createElement('relume-viewer').apikey,
 ];

@@ -1,6 +1,6 @@
-"""Runs `openjd` with the arguments given, and asks its session what it understood of the program's lines.
+"""Runs `openjd` with the given arguments and records the status messages that its session parses from the program's output.
 
-What it understood is printed at the end: how often progress was told, the last percentage, status and failure."""
+At the end it prints the number of progress messages, the last percentage, the last status and the last failure message."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Validates USD files: NVIDIA's rule for splats, and that OpenUSD finds what the model has."""
+"""Validates USD files with NVIDIA's rule for splats, and checks that OpenUSD reads the model's attributes."""
 
 import json
 import pathlib
@@ -11,7 +11,7 @@ RULE = "com.nvidia.usd.VG.035"
 
 
 def validated(validator, file):
-    """What the rule says of a file."""
+    """The report of the rule for a file."""
     report = pathlib.Path("report.json")
     report.unlink(missing_ok=True)
     subprocess.run([validator, "-d", "--requirement", RULE, "--json-output", report, file], capture_output=True)
@@ -38,7 +38,7 @@ def main(validator, *files):
         check(file)
         report = validated(validator, file)
         assert report["status"] == "PASS", f"{file}: {report}"
-    # The controls: what is wrong is found.
+    # Controls: each of these errors must be detected.
     text = pathlib.Path(files[0]).read_text()
     for before, after in (
         ('interpolation = "vertex"', 'interpolation = "constant"'),
@@ -48,8 +48,8 @@ def main(validator, *files):
     ):
         assert before in text, before
         pathlib.Path("wrong.usda").write_text(text.replace(before, after, 1))
-        assert validated(validator, "wrong.usda")["status"] == "FAIL", f"not noticed: {after}"
-    print(".usda and .usdz files are valid")
+        assert validated(validator, "wrong.usda")["status"] == "FAIL", f"control failed: this check does not detect {after}"
+    print("the .usda and .usdz files are valid")
 
 
 main(*sys.argv[1:])

@@ -1,7 +1,8 @@
-"""deploy/ for Kubernetes: the chart by Helm's own library, what it renders and the plain manifests by the API's schemas, strictly.
+"""manifests.py PROGRAM: checks the Kubernetes files in deploy/.
 
-Kueue's and KEDA's objects are held to kueue-keda.schema.json beside this file; `.ci/schedulers` also asks a package of KEDA's types.
-The program, which is given as argument, is asked whether it knows its options. Each check has to refuse something that is wrong."""
+Helm's library lints the chart. The rendered objects and the plain manifests must match the schemas of the Kubernetes API (strict mode).
+Objects of Kueue and KEDA must match kueue-keda.schema.json beside this file; `.ci/schedulers` also validates KEDA's objects with an npm
+package. PROGRAM must accept the options and variables that the files give it. Each check has a control that it must refuse."""
 
 import copy
 import pathlib
@@ -17,7 +18,7 @@ import yaml
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 CHART = str(ROOT / "deploy/helm/relume")
 SCHEMAS = yaml.safe_load((ROOT / ".ci/kueue-keda.schema.json").read_text())
-# What the chart is rendered with: its defaults, everything it can do, and no workers.
+# Values for the renderings of the chart: the defaults, all options, and a server without workers.
 VALUES = {
     "defaults": {},
     "all": {
@@ -61,7 +62,7 @@ def built_in(manifest):
 
 
 def fault(manifest):
-    """None, or what is wrong with one object."""
+    """The error of one object, or None."""
     kind = f"{manifest['apiVersion']} {manifest['kind']}"
     try:
         if kind in SCHEMAS:
@@ -81,7 +82,7 @@ def objects(text):
 
 
 def rendered(chart):
-    """Each object of each rendering of the chart, with where it is from."""
+    """Yields each object of each rendering of the chart, with its file and rendering."""
     for name, values in VALUES.items():
         chart.validate_schema(values)
         for file, text in chart.render(values, name="relume", namespace="studio").items():
@@ -95,7 +96,7 @@ def plain():
 
 
 def commands(found):
-    """The arguments that the program is given anywhere in deploy/, and the names of the variables beside them."""
+    """The arguments of the program in each manifest and Compose service, with the names of the environment variables set there."""
     specs = [item.get("spec", {}) for _, item in found]
     specs = [spec.get("jobTargetRef", spec) for spec in specs]
     pods = [spec["template"]["spec"] for spec in specs if "template" in spec]
@@ -110,7 +111,7 @@ def commands(found):
 
 
 def unknown(program, arguments, variables):
-    """None, or what the program does not know. It reads all arguments before it shows its help, which names its variables."""
+    """The error if the program lacks an option or a variable, or None. `--help` parses all arguments first and names the variables."""
     ended = subprocess.run([program, *arguments, "--help"], capture_output=True, text=True)
     if ended.returncode != 0:
         return f"{' '.join(arguments)}: {ended.stderr.strip()}"
@@ -120,7 +121,7 @@ def unknown(program, arguments, variables):
 
 
 def broken(item):
-    """The same with a wrong field where its kind keeps its settings."""
+    """A copy of the object with an unknown field in its spec."""
     item = copy.deepcopy(item)
     item.get("spec", item)["replicsa"] = 1
     return item
@@ -134,28 +135,28 @@ def main():
         for values in WRONG_VALUES:
             try:
                 chart.validate_schema(values)
-                wrong.append(f"values.schema.json takes {values}: the check is of no use")
+                wrong.append(f"control failed: values.schema.json accepts {values}")
             except helm.HelmValuesError:
                 pass
     for name, item in found:
         if error := fault(item):
             wrong.append(f"{name}: {error}")
         if not fault(broken(item)):
-            wrong.append(f"{name}: a wrong field of {item['kind']} was not seen: the check is of no use")
+            wrong.append(f"{name}: control failed: this check does not detect an unknown field of {item['kind']}")
     scaled = next(item for _, item in found if item["kind"] == "ScaledJob")
     scaled["spec"]["jobTargetRef"]["template"]["spec"]["containers"][0]["arsg"] = []
     if not fault(scaled):
-        wrong.append("a wrong field of a scaled job's pod was not seen: the check is of no use")
+        wrong.append("control failed: this check does not detect an unknown field of a ScaledJob's pod")
     given = commands(found)
     wrong += filter(None, (unknown(sys.argv[1], *command) for command in given))
     arguments, variables = given[0]
     for control in [([*arguments, "--no-such-option"], variables), (arguments, [*variables, "RELUME_NO_SUCH_VARIABLE"])]:
         if not unknown(sys.argv[1], *control):
-            wrong.append("an option or a variable that the program does not have was not seen: the check is of no use")
+            wrong.append("control failed: this check does not detect an option or a variable that the program lacks")
     if wrong:
         sys.exit("\n".join(wrong))
-    print(f"{len(found)} objects of the chart and of deploy/kubernetes are what Kubernetes, Kueue and KEDA take, "
-          f"and {len(given)} command lines what the program takes")
+    print(f"{len(found)} objects of the chart and of deploy/kubernetes match the schemas of Kubernetes, Kueue and KEDA, "
+          f"and the program accepts {len(given)} command lines")
 
 
 main()

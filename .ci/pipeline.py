@@ -1,4 +1,4 @@
-"""pipeline.py HOST:PORT KEY FOLDER: runs examples/pipeline and looks at what it leaves."""
+"""pipeline.py HOST:PORT KEY FOLDER: runs examples/pipeline and checks its frames, its messages and that it leaves nothing on the server."""
 
 import json
 import os
@@ -17,13 +17,13 @@ sys.path.insert(0, str(EXAMPLE))
 from webhook import is_genuine  # noqa: E402
 
 TINY = ["--set", "iterations=30", "--set", "resolution=32", "--set", "max_gaussians=64", "--patience", "120"]
-# Which pieces are cut, counted over all connections.
+# The numbers of the chunks that the proxy cuts, counted over all connections.
 CUTS = [2, 3]
 CUT_AFTER = 30_000
 
 
 def cutting_proxy():
-    """Hands connections on to the server, but cuts some pieces of uploads in their middle; its URL and the cuts made."""
+    """Starts a proxy to the server that cuts the connection in the middle of the chunks CUTS. Returns its URL and the list of cuts made so far."""
     listener = socket.create_server(("127.0.0.1", 0))
     pieces, cuts = [], []
 
@@ -66,7 +66,7 @@ def cutting_proxy():
 
 
 def run(url, *options, key=KEY, capture="capture.zip", stop_at=None):
-    """The example's exit status, what it said, and the frames it wrote. It is stopped when it says `stop_at`."""
+    """Runs the example. Returns its exit status, its output and its frames. Sends SIGTERM when a line of its output begins with `stop_at`."""
     out = FOLDER / f"frames{len(list(FOLDER.glob('frames*')))}"
     out.mkdir()
     command = [sys.executable, "-u", str(EXAMPLE / "relight.py"), str(FOLDER / capture), str(out), "--url", url, *TINY, *options]
@@ -87,7 +87,7 @@ def run(url, *options, key=KEY, capture="capture.zip", stop_at=None):
 def channels_of_parts(exr):
     """The channels of each part of a multi-part EXR, from its headers."""
     magic, version = struct.unpack_from("<ii", exr)
-    assert magic == 20000630, "no EXR"
+    assert magic == 20000630, "not an EXR file"
     at, parts = 8, []
     while exr[at] != 0:
         while exr[at] != 0:
@@ -118,14 +118,14 @@ def assert_nothing_is_left():
             return json.load(answer)
 
     for kind in ["captures", "environments", "jobs", "models", "webhooks"]:
-        assert get(f"/v1/{kind}")["items"] == [], f"{kind} are left"
+        assert get(f"/v1/{kind}")["items"] == [], f"the server still has {kind}"
     usage = get("/v1/usage")
     for kind in ["captures", "environments", "models", "uploads", "checkpoints"]:
-        assert usage[kind]["count"] == 0, f"{kind} are left: {usage}"
+        assert usage[kind]["count"] == 0, f"the server still has {kind}: {usage}"
 
 
 def check_signatures():
-    """The example of the standard is believed; what differs in anything is not."""
+    """The receiver accepts the example of the standard and refuses each variation of it."""
     secret, sent_at = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw", 1614265330
     headers = {
         "webhook-id": "msg_p5jXN8AQM9LWM0D4loKWxJek",
@@ -147,22 +147,22 @@ def main():
     gate = ["--gate", "novel_view_matched.psnr>=5"]
     sizes = ["--frames", "3", "--size", "64", "--piece-mib", "0.1"]
     status, said, frames = run(url, *gate, *sizes, "--env", "sunset")
-    assert status == 0 and cuts == CUTS, f"ended with {status}, cut {cuts}"
-    assert said.count("goes on at byte 104857 of") == 2, "the upload did not go on where it broke off"
+    assert status == 0 and cuts == CUTS, f"exit status {status}, cuts {cuts}"
+    assert said.count("goes on at byte 104857 of") == 2, "the upload did not resume at the last stored byte"
     assert "a webhook says job.succeeded" in said
     assert [f.name for f in frames] == [f"relit.{n:04}.exr" for n in (1, 2, 3)]
     contents = [frame.read_bytes() for frame in frames]
-    assert len(set(contents)) == 3, "the frames do not differ"
+    assert len(set(contents)) == 3, "some frames are equal"
     for content in contents:
         channels = {channel.rpartition(".")[2] for part in channels_of_parts(content) for channel in part}
         assert {"R", "G", "B", "A", "X", "Y", "Z"} <= channels, channels
     assert_nothing_is_left()
 
-    # A map of one's own: 16 x 8 equal pixels of RGBE.
+    # An uploaded environment map: 16 x 8 equal RGBE pixels.
     light = FOLDER / "grey.hdr"
     light.write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8 +X 16\n" + bytes([128, 128, 128, 129]) * 128)
     status, _, frames = run(url, "--frames", "1", "--size", "64", "--env", str(light))
-    assert status == 0 and frames[0].read_bytes() != contents[0], "another light and the same frame"
+    assert status == 0 and frames[0].read_bytes() != contents[0], "the frame is the same under another light"
     assert_nothing_is_left()
 
     status, said, frames = run(url, "--gate", "novel_view.psnr>=99")
@@ -174,7 +174,7 @@ def main():
     status, said, _ = run(url, "--gate", "nonsense>=1")
     assert status == 1 and "quality_gate" in said, f"ended with {status}"
     (FOLDER / "bad.hdr").write_bytes(b"junk")
-    # Refused before anything is uploaded.
+    # The script must refuse these options before it uploads anything.
     refused = [("--env", "nope", "--env nope: neither"), ("--env", "missing.hdr", "missing.hdr"), ("--env", str(FOLDER / "bad.hdr"), "does not begin")]
     refused += [("--piece-mib", "0", "--piece-mib"), ("--frames", "0", "--frames"), ("--set", "foo", "--set: foo"), ("--gate", "foo", "--gate: foo")]
     for option, value, sentence in refused:
@@ -186,14 +186,14 @@ def main():
     status, said, _ = run(url, capture="none.zip")
     assert status == 1 and "is no capture" in said, f"ended with {status}"
     assert_nothing_is_left()
-    # Stopped in mid-training, and before there is a job.
+    # SIGTERM during training, and before the job exists.
     status, said, _ = run(url, "--set", "iterations=100000", stop_at="job ")
     assert status == 1 and "stopped" in said and "not deleted" not in said, f"ended with {status}"
     assert_nothing_is_left()
     status, said, _ = run(url, stop_at="capture ")
     assert status == 1 and "stopped" in said and "not deleted" not in said, f"ended with {status}"
     assert_nothing_is_left()
-    print("the pipeline went its round, said no where it had to, and left nothing behind")
+    print("the pipeline completed, refused the controls and left nothing on the server")
 
 
 main()

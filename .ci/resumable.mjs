@@ -9,7 +9,7 @@ const [address, key, path, seedText] = process.argv.slice(2)
 const [host, port] = address.split(':')
 const size = statSync(path).size
 
-// Mulberry32: the same cuts for the same seed.
+// Mulberry32, a pseudorandom generator: the same seed gives the same cuts.
 let state = Number(seedText)
 const random = () => {
   state = (state + 0x6d2b79f5) | 0
@@ -18,7 +18,7 @@ const random = () => {
   return ((t ^ (t >>> 14)) >>> 0) / 2 ** 32
 }
 
-// Each connection may carry so many bytes to the server; one in four is not cut, so that it ends.
+// The proxy cuts each connection after a random number of bytes to the server. It leaves one in four uncut, so that the upload completes.
 let cuts = 0
 const proxy = createServer((client) => {
   const server = connect(Number(port), host)
@@ -59,7 +59,7 @@ const upload = await new Promise((done, failed) => {
     onError: failed,
     onSuccess: () => done(started),
     onChunkComplete: () => {
-      // The uploader itself stops now and then, and goes on.
+      // The client aborts and resumes up to three times.
       if (aborts < 3 && random() < 0.5) {
         aborts += 1
         started.abort().then(() => started.start())
@@ -79,6 +79,6 @@ const answer = await fetch(`http://${address}/v1/captures`, {
 const capture = await answer.json()
 assert.ok(answer.ok, JSON.stringify(capture))
 assert.equal(capture.sha256, createHash('sha256').update(readFileSync(path)).digest('hex'))
-assert.ok(cuts > 0, 'nothing was cut: the proxy is of no use')
-console.log(`seed ${seedText}: ${size} bytes, ${cuts} connections cut, the capture is the file`)
+assert.ok(cuts > 0, 'control failed: the proxy cut no connection')
+console.log(`seed ${seedText}: ${size} bytes, ${cuts} connections cut, the capture equals the file`)
 process.exit(0)

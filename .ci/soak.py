@@ -1,4 +1,4 @@
-"""Rounds of all that a pipeline does, until the time is over; what the server's memory is after each minute."""
+"""soak.py HOST:PORT KEY FOLDER PID MINUTES: repeats the requests of a pipeline and prints the server's memory each minute."""
 
 import http.client
 import io
@@ -9,7 +9,7 @@ import zipfile
 from pathlib import Path
 
 ADDRESS, KEY, FOLDER, SERVER, MINUTES = sys.argv[1:6]
-# Memory of the last third over that of the second: what caches take is there by then.
+# Limit for the peak memory of the last third of the run divided by that of the second third, when the caches are full.
 MOST_GROWTH = 1.15
 
 
@@ -35,7 +35,7 @@ class Api:
 
 
 def capture(archive, number):
-    """The archive with a note of its own, so that it is another capture."""
+    """A copy of the archive with a unique note, so that the server treats it as another capture."""
     copy = io.BytesIO(archive)
     with zipfile.ZipFile(copy, "a") as changed:
         changed.writestr("note.txt", str(number))
@@ -46,7 +46,7 @@ def a_round(api, archive, number):
     made = api("POST", "/v1/captures", capture(archive, number), Content_Type="application/zip")
     overrides = {"iterations": 20, "resolution": 48, "max_gaussians": 300, "initial_gaussians": 200, "checkpoint_every": 10}
     job = api("POST", "/v1/jobs", {"capture": made["id"], "preset": "draft", "overrides": overrides})
-    # Ends with the job.
+    # The event stream ends when the job ends, so this request waits for the job.
     api("GET", f"/v1/jobs/{job['id']}/events", Accept="text/event-stream")
     model = api("GET", f"/v1/jobs/{job['id']}")["model"]
     for azimuth in range(0, 360, 30):
@@ -93,8 +93,8 @@ def main():
     usage = api("GET", "/v1/usage")
     left = {kind: usage[kind] for kind in ("captures", "models", "checkpoints") if usage[kind].get("count", 0)}
     if left:
-        sys.exit(f"left behind: {left}")
-    print(f"{rounds} rounds, {api.requests} requests, none failed")
+        sys.exit(f"not deleted: {left}")
+    print(f"{rounds} rounds, {api.requests} requests, no failures")
 
 
 main()

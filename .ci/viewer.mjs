@@ -1,4 +1,4 @@
-// Compares what <relume-viewer> draws by WebGPU with the server's frames, in Chromium on a software device.
+// Compares the WebGPU pictures of <relume-viewer> with the server's frames, in Chromium on a software device.
 // node .ci/viewer.mjs BROWSER SERVER KEY SIZE OVERRIDES CAPTURE...
 import assert from 'node:assert';
 import { readFile } from 'node:fs/promises';
@@ -6,11 +6,11 @@ import { basename } from 'node:path';
 import { openBrowser, openPage } from './browser.mjs';
 
 const [program, server, key, side, overrides, ...captures] = process.argv.slice(2);
-/** Decibels: as near as pictures of the viewer come, and what a picture under another light must stay below. */
+/** PSNR limits, dB: minimum for pictures under the same light, minimum for layers, and maximum for controls (another light or exposure). */
 const LEAST = 50;
 const LEAST_OF_LAYERS = 35;
 const MOST_OF_CONTROLS = 40;
-/** As a render request names them. */
+/** Lights as a render request names them. */
 const LIGHTS = { sunset: { builtin: 'sunset' }, studio: { builtin: 'studio' } };
 const VIEW = { azimuth: '35', elevation: '25' };
 
@@ -21,7 +21,7 @@ async function ask(path, init = {}) {
     return JSON.parse(text);
 }
 
-/** The identifier of a model of a capture. */
+/** Trains a capture and returns the identifier of the model. */
 async function trained(capture) {
     const archive = { method: 'POST', body: await readFile(capture), headers: { 'Content-Type': 'application/octet-stream' } };
     const { id } = await ask('/v1/captures', archive);
@@ -35,14 +35,14 @@ async function trained(capture) {
     return job.model;
 }
 
-/** An even sky with a small sun, which casts a shadow of its own, as a Radiance file of 256 by 128 texels. */
+/** A uniform sky with a small sun, which casts a separate shadow, as a Radiance file of 256 by 128 texels. */
 function sunnySky() {
     const texel = (row, column) => (row >= 40 && row < 43 && column >= 100 && column < 103 ? [230, 200, 160, 138] : [100, 115, 140, 128]);
     const texels = Array.from({ length: 128 * 256 }, (_, i) => texel(Math.floor(i / 256), i % 256)).flat();
     return Buffer.concat([Buffer.from('#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 128 +X 256\n'), Buffer.from(texels)]);
 }
 
-/** Runs in the page: what compares pictures there. */
+/** Runs in the page: installs `window.tools`, which compares pictures. */
 function prepare(key) {
     const headers = { ...(key && { Authorization: `Bearer ${key}` }), 'Content-Type': 'application/json' };
     const pixels = async (blob) => {
@@ -53,7 +53,7 @@ function prepare(key) {
     };
     const radians = (degrees) => (degrees * Math.PI) / 180;
     window.tools = {
-        /** A viewer that fills a square, once it is ready. */
+        /** Shows a square viewer, waits until it is ready and returns its mode. */
         async show(attributes, side) {
             const viewer = document.createElement('relume-viewer');
             viewer.apiKey = key;
@@ -69,7 +69,7 @@ function prepare(key) {
             window.viewer = viewer;
             return viewer.mode;
         },
-        /** The server's frame of what the viewer sees. */
+        /** The server's frame for the camera of the viewer. */
         async frame(model, environment, side, more) {
             const { azimuth, elevation, distance, target, fov } = window.viewer.camera();
             const [a, e] = [radians(azimuth), radians(elevation)];
@@ -84,7 +84,7 @@ function prepare(key) {
             for (const [name, value] of Object.entries(attributes)) window.viewer.setAttribute(name, value);
             return pixels(await window.viewer.snapshot());
         },
-        /** Decibels between two pictures, over the pixels where `mask` has alpha. */
+        /** PSNR between two pictures over the pixels where `mask` has alpha, dB. */
         psnr(a, b, mask) {
             let [sum, count] = [0, 0];
             for (let i = 0; i < a.length; i += 4) {
@@ -97,7 +97,7 @@ function prepare(key) {
     };
 }
 
-/** Runs in the page: decibels between viewer and server under a light, and of the viewer under others. */
+/** Runs in the page: PSNR (dB) of the viewer against the server's frame under a light; for the same light and for controls with another light or exposure. */
 async function underLight(model, light, side) {
     const name = light.builtin ?? light.id;
     const { drawn, frame, psnr } = window.tools;
@@ -117,7 +117,7 @@ async function underLight(model, light, side) {
     return found;
 }
 
-/** Runs in the page: pictures drawn while nothing changes, and when the camera moves once. */
+/** Runs in the page: number of pictures drawn while nothing changes, and after one camera movement. */
 async function atRest() {
     const rest = () => new Promise((resolve) => setTimeout(resolve, 300));
     const drawnBy = async (act) => {
@@ -131,7 +131,7 @@ async function atRest() {
     return { idle, moved: await drawnBy(() => window.viewer.setAttribute('azimuth', '36')) };
 }
 
-/** Runs in the page: who draws once the device is lost. */
+/** Runs in the page: the mode of the viewer after its device is lost. */
 async function afterLoss() {
     const ready = new Promise((resolve) => window.viewer.addEventListener('relume-ready', resolve, { once: true }));
     window.device.destroy();
@@ -139,7 +139,7 @@ async function afterLoss() {
     return window.viewer.mode;
 }
 
-/** Runs in the page before its scripts: keeps the device and counts what is submitted to it. */
+/** Runs in the page before its scripts: stores the device in `window.device` and counts submissions to its queue. */
 function watch() {
     const { requestDevice } = GPUAdapter.prototype;
     GPUAdapter.prototype.requestDevice = async function (...given) {
@@ -153,7 +153,7 @@ function watch() {
     };
 }
 
-/** Runs in the page: decibels of the layers, which no light changes. */
+/** Runs in the page: PSNR (dB) of the layers that do not depend on the light. */
 async function layers(model, side) {
     const { drawn, frame, psnr } = window.tools;
     const mask = await frame(model, { builtin: 'studio' }, side, {});
@@ -179,25 +179,25 @@ try {
         await page.run(prepare, key);
         await page.run(() => import('/relume-viewer.js').then(() => null));
         const mode = await page.run((...given) => window.tools.show(...given), { model, environment: 'sunset', ...VIEW }, Number(side));
-        assert.equal(mode, 'webgpu', 'the viewer draws by itself');
+        assert.equal(mode, 'webgpu', 'the viewer must draw with WebGPU');
         for (const [light, spec] of Object.entries(lights)) {
             const found = await page.run(underLight, model, spec, Number(side));
             console.log(`${name}, ${light}: ${shown(found)} dB`);
-            assert(found.same >= LEAST && found.exposed >= LEAST, `at least ${LEAST} dB`);
-            for (const control of ['turned', 'other', 'brighter']) assert(found[control] < MOST_OF_CONTROLS, `the control: ${control}`);
+            assert(found.same >= LEAST && found.exposed >= LEAST, `the viewer must reach ${LEAST} dB`);
+            for (const control of ['turned', 'other', 'brighter']) assert(found[control] < MOST_OF_CONTROLS, `control failed: ${control} reaches ${MOST_OF_CONTROLS} dB`);
         }
         const found = await page.run(layers, model, Number(side));
         console.log(`${name}, layers: ${shown(found)} dB`);
-        for (const layer of Object.keys(found)) assert(found[layer] >= LEAST_OF_LAYERS, layer);
+        for (const layer of Object.keys(found)) assert(found[layer] >= LEAST_OF_LAYERS, `layer ${layer}: the viewer must reach ${LEAST_OF_LAYERS} dB`);
         const { idle, moved } = await page.run(atRest);
-        assert(idle === 0 && moved > 0, `nothing is drawn while nothing changes: ${idle}, ${moved}`);
-        assert.equal(await page.run(afterLoss), 'server', 'without its device the viewer shows frames');
+        assert(idle === 0 && moved > 0, `the viewer must draw after a camera movement and not while nothing changes: ${moved} and ${idle} pictures`);
+        assert.equal(await page.run(afterLoss), 'server', 'after the loss of its device the viewer must show frames of the server');
     }
     const without = await openPage(browser, `${server}/`, 'Object.defineProperty(navigator, "gpu", { value: undefined })');
     await without.run(prepare, key);
     await without.run(() => import('/relume-viewer.js').then(() => null));
     const mode = await without.run((...given) => window.tools.show(...given), { model: models[0].model, ...VIEW }, 64);
-    assert.equal(mode, 'server', 'without WebGPU the server draws');
+    assert.equal(mode, 'server', 'without WebGPU the viewer must show frames of the server');
 } finally {
     await browser.close();
 }

@@ -1,4 +1,5 @@
-// A receiver of webhooks: refuses the first message, verifies each with the package of the standard, and tries a forged one.
+// A webhook receiver: it refuses the first delivery, verifies each message with the package of Standard Webhooks, and checks that
+// verification fails for a changed message and for another secret.
 import assert from 'node:assert';
 import { readFile } from 'node:fs/promises';
 import { createServer } from 'node:http';
@@ -36,7 +37,7 @@ assert.notEqual(rotated.secret, webhook.secret);
 const { id } = await ask('/v1/captures', await readFile(capture), 'application/zip');
 const overrides = { iterations: 20, resolution: 32, max_gaussians: 64 };
 const job = await ask('/v1/jobs', JSON.stringify({ capture: id, preset: 'draft', overrides }));
-const late = setTimeout(() => { console.error('no webhook came'); process.exit(1); }, 300_000);
+const late = setTimeout(() => { console.error('no webhook arrived within 300 seconds'); process.exit(1); }, 300_000);
 await both;
 clearTimeout(late);
 
@@ -44,14 +45,14 @@ const former = new Webhook(webhook.secret);
 const verifier = new Webhook(rotated.secret);
 for (const { body, headers } of received) {
     const message = verifier.verify(body, headers);
-    assert.deepEqual(former.verify(body, headers), message, 'a receiver that has not taken the new secret over yet');
+    assert.deepEqual(former.verify(body, headers), message, 'the former secret must verify the message during a rotation');
     assert.equal(message.type, 'job.succeeded');
     assert.equal(message.data.job.id, job.id);
     assert.equal(message.data.job.state, 'succeeded');
-    assert.throws(() => verifier.verify(body.replace('succeeded', 'cancelled'), headers), 'what was changed is refused');
-    assert.throws(() => new Webhook(`whsec_${'A'.repeat(43)}=`).verify(body, headers), 'another secret is refused');
+    assert.throws(() => verifier.verify(body.replace('succeeded', 'cancelled'), headers), 'a changed message must be refused');
+    assert.throws(() => new Webhook(`whsec_${'A'.repeat(43)}=`).verify(body, headers), 'another secret must be refused');
 }
 assert.equal(received[0].headers['webhook-id'], received[1].headers['webhook-id']);
-console.log('a webhook was refused, sent again and verified with standardwebhooks');
+console.log('the server resent a refused webhook, and standardwebhooks verified both deliveries');
 receiver.close();
 receiver.closeAllConnections();
