@@ -3,38 +3,38 @@
 default:
     @just --list
 
-# Type-check everything; shares work with the release build
+# Type-check everything; reuses the build scripts and macros of the release build
 check:
     cargo check --release --workspace --all-targets
 
-# Tests that need nothing but this machine; arguments filter by name
+# Tests that need neither a GPU nor test data; arguments filter by name
 test *FILTER:
     cargo test --release {{FILTER}}
 
-# All tests, including those of the GPU engine and of outside data
+# All tests, including those that need a GPU or the test data
 test-all *FILTER:
     cargo test --release {{FILTER}} -- --include-ignored
 
-# Formatting, lints and API documentation without warnings
+# Check formatting, lints and API documentation; warnings are errors
 lint:
     cargo fmt --check
     cargo clippy --release --workspace --all-targets -- -D warnings
     RUSTDOCFLAGS='-D warnings' cargo doc --release --no-deps --workspace
 
-# Spelling, licences and sources of dependencies (pip install typos)
+# Check spelling, and licences and sources of dependencies (pip install typos)
 audit:
     typos
     .ci/dependencies
 
-# Milliseconds of each stage of the CPU engine
+# Benchmark each stage of the CPU engine, milliseconds
 bench:
     cargo bench -p relume-bench --bench engine
 
-# The demo: train on a synthetic scene, relight, measure; writes demo-out/
+# Run the demo: train on a synthetic scene, relight, measure; writes demo-out/
 demo:
     cargo run --release -- demo
 
-# The HTTP service on 127.0.0.1:7878
+# Run the HTTP service on 127.0.0.1:7878
 serve *ARGS:
     cargo run --release -- serve {{ARGS}}
 
@@ -42,10 +42,10 @@ serve *ARGS:
 openapi:
     cargo run --release -- openapi > openapi/openapi.json
 
-# What a change must pass
+# Run all checks that a change must pass
 ci:
     .ci/run
 
-# Seconds of builds and edits, here and at other commits
+# Measure build times of this commit and of others, seconds
 build-times *COMMITS:
     benches/build_times {{COMMITS}}

@@ -1,5 +1,5 @@
-//! A whole round over HTTP against a server of the example's own, as an integration test would do it:
-//! upload a capture, train, relight, download.
+//! A complete workflow over HTTP: starts a server, uploads a capture, trains, relights and downloads.
+//! An integration test can do the same.
 //!
 //! ```sh
 //! cargo run --release --example relight_over_http
@@ -11,13 +11,12 @@ use relume_api::cameras::{CameraSpec, LookAtSpec};
 use relume_api::jobs::NewJob;
 use relume_api::renders::{EnvironmentSpec, RenderRequest};
 use relume_capture::{SyntheticOptions, synthetic, write_archive};
-use relume_spec::rendering::FrameFormat;
-use relume_spec::rendering::Output;
+use relume_spec::rendering::{FrameFormat, Output};
 use relume_spec::training::{Preset, TrainOverrides};
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    // A server on a free port with a temporary store. Against a real one: `Client::new(url, key)`.
+    // Starts a server on a free port with a temporary store. For another server use `Client::new(url, key)`.
     let server = relume::testing::spawn().await?;
     let client = server.client();
 

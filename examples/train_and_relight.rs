@@ -1,8 +1,8 @@
-//! The library without a server: a capture in, relit pictures out.
+//! Uses the library without a server: reads a capture, trains a model and writes relit pictures.
 //!
 //! ```sh
 //! cargo run --release --example train_and_relight                    # the synthetic scene, 300 steps
-//! cargo run --release --example train_and_relight -- CAPTURE 1500    # your folder or archive, and the steps
+//! cargo run --release --example train_and_relight -- CAPTURE 1500    # your folder or archive, 1500 steps
 //! ```
 //!
 //! It writes `relit_LIGHT.png` for three built-in lights and `relit.exr` with linear colour and normals.
@@ -17,11 +17,10 @@ use relume::{
 use relume_capture::formats::exr_frame::{self, FrameAttributes, FrameLayer, FrameLayers};
 use relume_capture::formats::image_file::encode_png;
 use relume_capture::{SyntheticOptions, builtin, synthetic};
-use relume_spec::rendering::ColourDepth;
-use relume_spec::rendering::Primaries;
+use relume_spec::rendering::{ColourDepth, Primaries};
 
 const DEFAULT_STEPS: u32 = 300;
-/// Longest side of the photographs that are trained on, pixels.
+/// Longest side of the training photographs, pixels.
 const TRAINING_SIDE: u32 = 96;
 /// Longest side of the relit pictures, pixels.
 const PICTURE_SIDE: u32 = 384;
@@ -55,7 +54,8 @@ fn main() -> Result<(), AnyError> {
     Ok(())
 }
 
-/// The capture at `path`, or the synthetic scene, with photographs of at most [`TRAINING_SIDE`] pixels.
+/// Reads the capture at `path`, or makes the synthetic scene.
+/// Photographs have at most [`TRAINING_SIDE`] pixels a side.
 fn read_capture(path: Option<&str>) -> Result<Capture, AnyError> {
     let Some(path) = path else {
         let options =
@@ -68,7 +68,7 @@ fn read_capture(path: Option<&str>) -> Result<Capture, AnyError> {
     Ok(capture)
 }
 
-/// Trains on the CPU; `Device::open` finds a graphics card.
+/// Trains on the CPU; `Device::open` opens a GPU.
 fn train(capture: &Capture, steps: u32) -> Result<Model, AnyError> {
     let overrides = TrainOverrides {
         iterations: Some(steps),
@@ -87,7 +87,7 @@ fn train(capture: &Capture, steps: u32) -> Result<Model, AnyError> {
     Ok(trainer.model()?)
 }
 
-/// Linear colour (premultiplied, with alpha) and world-space normals as 32-bit floats.
+/// Encodes linear colour (premultiplied, with alpha) and world-space normals as a 32-bit float EXR.
 fn linear_exr(frame: &Frame) -> Result<Vec<u8>, AnyError> {
     let plane = |output| frame.planes.get(&output).ok_or("the frame lacks an output");
     let (rgb, alpha) = (plane(Output::Rgb)?, plane(Output::Alpha)?);

@@ -1,4 +1,4 @@
-"""What a run made on the server, so that nothing of it stays there, however the run ends."""
+"""Records the resources that a run creates on the server and deletes them, however the run ends."""
 
 import signal
 import sys
@@ -11,7 +11,7 @@ class Made:
         self.asked_for_job = False
         self.busy = False
         self.stopped = False
-        # SIGTERM is how a farm's manager stops a script, SIGINT is Ctrl-C.
+        # A render farm stops a script with SIGTERM; Ctrl-C sends SIGINT.
         for one in (signal.SIGTERM, signal.SIGINT):
             signal.signal(one, self.stop)
 
@@ -22,7 +22,7 @@ class Made:
 
     @contextmanager
     def noting(self):
-        """Gives a function that notes what is made. A stop waits until that is done: what was asked for is known, then."""
+        """Yields a function that records a created path. A signal inside the block takes effect at its end, so every created path is recorded."""
         self.busy = True
         try:
             yield self.paths.append
@@ -32,7 +32,7 @@ class Made:
             sys.exit("stopped")
 
     def delete(self, server):
-        """Deletes everything, the newest first: what needs a thing goes before it. What others need stays, and is named."""
+        """Deletes all recorded paths, the newest first, because newer resources depend on older ones. Prints each that the server refuses to delete."""
         self.busy = True
         for path in reversed(self.paths):
             server.delete(path)

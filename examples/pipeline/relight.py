@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""A capture in, relit EXR frames out, nothing left on the server: a pipeline's whole round with Relume.
+"""A complete pipeline with Relume: uploads a capture, trains a model, renders relit EXR frames and deletes everything on the server.
 
     relume sample capture.zip
     RELUME_API_KEY=... python3 relight.py capture.zip frames/ --env sunset --gate 'novel_view.psnr>=20'
 
-Python 3.9 and its standard library. Ends with 0 when the frames are there, 2 when the model missed the quality gate, and 1
-when something failed or it was stopped; what it made on the server is deleted in each case.
+It needs Python 3.9 and no other package. Exit status: 0 if the frames exist, 2 if the model missed the quality gate, and 1 if something
+failed or a signal stopped the script. In each case the script deletes what it created on the server.
 """
 
 import argparse
@@ -24,23 +24,23 @@ from webhook import Receiver
 
 ENDS = ["job.succeeded", "job.rejected", "job.failed", "job.cancelled"]
 EXR_MAGIC = bytes([0x76, 0x2F, 0x31, 0x01])
-# How the light files begin that can be uploaded.
+# The first bytes of each format of light files that the server accepts.
 LIGHT_FILES = {".hdr": b"#?", ".exr": EXR_MAGIC}
 
 
 class Rejected(Exception):
-    """The model is not as good as the quality gate asks for."""
+    """The model missed the quality gate."""
 
 
 class Parser(argparse.ArgumentParser):
     def error(self, message):
-        """Ends with 1: argparse's 2 is the missed gate here."""
+        """Exits with 1, because argparse's default of 2 means a missed gate here."""
         self.print_usage(sys.stderr)
         self.exit(1, f"failed: {message}\n")
 
 
 def count(text):
-    """A whole number from 1."""
+    """Parses an integer of at least 1."""
     number = int(text)
     if number < 1:
         raise argparse.ArgumentTypeError(f"{text} is less than 1")
@@ -48,18 +48,18 @@ def count(text):
 
 
 def mib(text):
-    """Bytes, from a number of MiB; at least one byte."""
+    """Converts MiB to bytes; at least one byte."""
     size = float(text) * 2**20
     if not math.isfinite(size) or size < 1:
-        raise argparse.ArgumentTypeError(f"{text} MiB is no size of a piece")
+        raise argparse.ArgumentTypeError(f"{text} MiB is not a valid chunk size")
     return int(size)
 
 
 def setting(text):
-    """Name and value of NAME=VALUE; a value that is no JSON is a string."""
+    """Parses NAME=VALUE. A value that is not JSON is a string."""
     name, equals, value = text.partition("=")
     if not name or not equals:
-        raise argparse.ArgumentTypeError(f"{text}: NAME=VALUE is needed, as iterations=300")
+        raise argparse.ArgumentTypeError(f"{text}: expected NAME=VALUE, e.g. iterations=300")
     try:
         return name, json.loads(value)
     except ValueError:
@@ -67,50 +67,50 @@ def setting(text):
 
 
 def bound(text):
-    """Figure and bound, as novel_view.psnr and >=28."""
+    """Parses a figure and its bound, e.g. novel_view.psnr and >=28."""
     figure = re.fullmatch(r"([a-z_.]+)\s*([<>]=?.+)", text)
     if not figure:
-        raise argparse.ArgumentTypeError(f"{text}: a figure and a bound are needed, as novel_view.psnr>=28")
+        raise argparse.ArgumentTypeError(f"{text}: expected a figure and a bound, e.g. novel_view.psnr>=28")
     return figure[1], figure[2]
 
 
 def arguments():
     parse = Parser(description="Relight a capture with a Relume server.")
-    parse.add_argument("capture", type=Path, help="the archive of photographs and cameras")
+    parse.add_argument("capture", type=Path, help="archive with photographs and cameras")
     parse.add_argument("out", type=Path, help="folder for the frames")
-    parse.add_argument("--url", default=os.environ.get("RELUME_URL", "http://127.0.0.1:7878"), help="the server")
-    parse.add_argument("--listen", default="127.0.0.1:0", metavar="HOST:PORT", help="where webhooks are received")
-    parse.add_argument("--hook-url", help="by which URL the server reaches that; http://HOST:PORT/ where absent")
-    parse.add_argument("--name", default="pipeline-example", help="what the job is called")
+    parse.add_argument("--url", default=os.environ.get("RELUME_URL", "http://127.0.0.1:7878"), help="URL of the server")
+    parse.add_argument("--listen", default="127.0.0.1:0", metavar="HOST:PORT", help="address of the webhook receiver")
+    parse.add_argument("--hook-url", help="URL at which the server reaches the receiver; default: http://HOST:PORT/")
+    parse.add_argument("--name", default="pipeline-example", help="name of the job")
     parse.add_argument("--preset", default="draft", choices=["draft", "standard", "high"])
     settings = {"type": setting, "action": "append", "default": [], "metavar": "NAME=VALUE"}
-    parse.add_argument("--set", **settings, help="a training setting, as iterations=300; a value that is no JSON is a string")
-    parse.add_argument("--gate", type=bound, action="append", default=[], metavar="BOUND", help="as novel_view.psnr>=28")
-    parse.add_argument("--env", default="sunset", help="a built-in light, or a .hdr or .exr file")
-    parse.add_argument("--frames", type=count, default=8, help="frames of one turn around the thing")
-    parse.add_argument("--size", type=count, default=512, help="pixels a side")
-    parse.add_argument("--eye", type=float, nargs=3, default=[3.0, 0.0, 1.5], help="where the first camera stands")
-    parse.add_argument("--piece-mib", type=mib, default="16", dest="piece_bytes", metavar="MIB", help="MiB that are sent at once")
+    parse.add_argument("--set", **settings, help="training setting, e.g. iterations=300; a value that is not JSON is a string")
+    parse.add_argument("--gate", type=bound, action="append", default=[], metavar="BOUND", help="quality gate, e.g. novel_view.psnr>=28")
+    parse.add_argument("--env", default="sunset", help="built-in light, or a .hdr or .exr file")
+    parse.add_argument("--frames", type=count, default=8, help="number of frames in one turn around the object")
+    parse.add_argument("--size", type=count, default=512, help="width and height of a frame, pixels")
+    parse.add_argument("--eye", type=float, nargs=3, default=[3.0, 0.0, 1.5], help="position of the first camera, capture units")
+    parse.add_argument("--piece-mib", type=mib, default="16", dest="piece_bytes", metavar="MIB", help="size of an upload chunk, MiB")
     parse.add_argument("--patience", type=float, default=24 * 3600, help="seconds to wait for the end of the job")
     return parse.parse_args()
 
 
 def check_files(options):
-    """Fails now where the round would after the training: a file that cannot be read, a folder that cannot be written to."""
+    """Checks before the upload that the capture and the light file are readable and that the output folder is writable."""
     with options.capture.open("rb"):
         pass
     begin = LIGHT_FILES.get(Path(options.env).suffix.lower())
     if begin:
         with open(options.env, "rb") as file:
             if file.read(len(begin)) != begin:
-                raise Trouble(f"--env {options.env}: the file does not begin as its name says")
+                raise Trouble(f"--env {options.env}: the file does not begin with the signature of its format")
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=options.out):
         pass
 
 
 def check_builtin(server, name):
-    """That the server has the light, unless it is a file."""
+    """Checks that the server has the built-in light `name`; does nothing for a file."""
     if Path(name).suffix.lower() in LIGHT_FILES:
         return
     builtin = server.json("GET", "/v1/environments")["builtin"]
@@ -119,7 +119,7 @@ def check_builtin(server, name):
 
 
 def make_capture(server, made, path, piece_bytes):
-    """The capture of the archive at `path`, when it is validated."""
+    """Uploads the archive at `path`, creates its capture and waits until the server has validated it."""
     with made.noting() as note:
         where = begin_upload(server, path)
         note(where)
@@ -132,13 +132,13 @@ def make_capture(server, made, path, piece_bytes):
     if capture["state"] == "invalid":
         raise Trouble(f"{path} is no capture: {capture['problem']['detail']}")
     if capture["sha256"] != sha256_of(path):
-        raise Trouble("what arrived is not what was sent")
+        raise Trouble("the hash of the capture differs from the hash of the file")
     print(f"capture {capture['id']}: {capture['report']['train_images']} photographs")
     return capture
 
 
 def new_job(options, capture):
-    """What to train, and what the model has to reach."""
+    """The job request, with the training settings and the quality gate."""
     return {
         "capture": capture["id"],
         "name": options.name,
@@ -150,21 +150,21 @@ def new_job(options, capture):
 
 
 def wait_for_end(server, receiver, job, patience):
-    """The job as its webhook tells it; the server is asked as well when no message comes."""
+    """Returns the job from its webhook, or from the server if no message arrives within `patience` seconds. Raises unless the job succeeded."""
     told = receiver.wait_for(job["id"], patience)
-    print(f"a webhook says {told['type']}" if told else "no webhook came in time")
+    print(f"a webhook says {told['type']}" if told else "no webhook arrived in time")
     ended = told["data"]["job"] if told else server.json("GET", f"/v1/jobs/{job['id']}")
     if ended["state"] == "rejected":
-        missed = [f"{m['figure']} is {m.get('found')} and not {m['wanted']}" for m in ended["missed"]]
+        missed = [f"{m['figure']} is {m.get('found')}, not {m['wanted']}" for m in ended["missed"]]
         raise Rejected("; ".join(missed))
     if ended["state"] != "succeeded":
-        raise Trouble(f"the job is {ended['state']}: {ended.get('error')}")
+        raise Trouble(f"the job has the state {ended['state']}: {ended.get('error')}")
     print(f"model {ended['model']}: {json.dumps(ended['figures']['novel_view'])}")
     return ended
 
 
 def light(server, made, name):
-    """What a frame is lit by: a map of the server's own, or a file that is uploaded for it."""
+    """The environment of a render request: a built-in map, or a file that this function uploads."""
     suffix = Path(name).suffix.lower()
     if suffix not in LIGHT_FILES:
         return {"builtin": name}
@@ -177,7 +177,7 @@ def light(server, made, name):
 
 
 def render_turn(server, model, environment, options):
-    """One EXR a frame, with the relit picture, normals and depth; the camera goes around the thing."""
+    """Renders one EXR per frame with the relit picture, normals and depth. The camera makes one turn around the object."""
     x, y, z = options.eye
     for frame in range(options.frames):
         turn = 2 * math.pi * frame / options.frames
@@ -193,9 +193,9 @@ def render_turn(server, model, environment, options):
         headers = {"Content-Type": "application/json", "Accept": "image/x-exr"}
         answer = server.ask("POST", f"/v1/models/{model}/render", body, headers)
         if answer.body[:4] != EXR_MAGIC:
-            raise Trouble(f"frame {frame} is no EXR")
+            raise Trouble(f"the response for frame {frame} is not an EXR file")
         path = options.out / f"relit.{frame + 1:04}.exr"
-        # Whoever looks into the folder sees whole frames alone.
+        # Write under another name and rename, so that the folder never has an incomplete frame.
         part = path.with_suffix(".part")
         part.write_bytes(answer.body)
         part.replace(path)
@@ -203,7 +203,7 @@ def render_turn(server, model, environment, options):
 
 
 def go_round(server, made, run, options):
-    """Everything but the deletion. Job and model are called `run` for other systems, by which they are found again."""
+    """Runs all steps except the deletion. The job and its model get the external id `run`, by which delete_all finds them."""
     with Receiver(options.listen) as receiver:
         with made.noting() as note:
             hook = server.json("POST", "/v1/webhooks", {"url": options.hook_url or receiver.url, "events": ENDS})
@@ -211,10 +211,10 @@ def go_round(server, made, run, options):
         receiver.secret = hook["secret"]
         check_builtin(server, options.env)
         capture = make_capture(server, made, options.capture, options.piece_bytes)
-        # Should the answer be lost, the same request again makes no second job.
+        # With this key a repeated request, after a lost response, creates no second job.
         once = {"Idempotency-Key": run}
         with made.noting() as note:
-            # Before the answer, which may be lost.
+            # Set this before the request, because its response may be lost.
             made.asked_for_job = True
             job = server.json("POST", "/v1/jobs", {**new_job(options, capture), "external_id": run}, headers=once)
             note(f"/v1/jobs/{job['id']}?cascade=true")
@@ -227,17 +227,17 @@ def delete_all(server, made, run):
     made.delete(server)
     if not made.asked_for_job:
         return
-    # After its job, which makes no other from here on.
+    # Delete models after the job: a deleted job creates no more models.
     try:
         for model in server.json("GET", f"/v1/models?external_id={run}")["items"]:
             server.delete(f"/v1/models/{model['id']}")
     except (Trouble, *BROKEN) as trouble:
-        print(f"not deleted: models called {run}: {trouble}")
+        print(f"not deleted: models with the external id {run}: {trouble}")
 
 
 def main():
     options = arguments()
-    server = Server(options.url, os.environ.get("RELUME_API_KEY"))
+    server = Server(options.url, os.environ.get("RELUME_API_KEY") or os.environ.get("RELUME_KEY"))
     made, run = Made(), str(uuid.uuid4())
     try:
         check_files(options)

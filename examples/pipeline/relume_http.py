@@ -1,4 +1,4 @@
-"""Requests to a Relume server, and uploads that go on where they broke off."""
+"""Requests to a Relume server, and resumable uploads."""
 
 import base64
 import hashlib
@@ -11,19 +11,19 @@ from collections import namedtuple
 from urllib.parse import urljoin
 
 Answer = namedtuple("Answer", "status headers body")
-# What a broken connection raises, at whatever moment it breaks.
+# The exceptions that a broken connection raises.
 BROKEN = (OSError, http.client.HTTPException)
 BUSY = (429, 503)
-# As well: the piece of a broken connection is still being written.
+# 423: the server is still writing the chunk of a broken connection.
 WAITING = (423, *BUSY)
 TRIES = 20
-# How often in a row a piece may be sent in vain to a server that answers.
+# How many times in a row the server may store nothing of a chunk although it responds.
 IN_VAIN = 3
 TUS = {"Tus-Resumable": "1.0.0"}
 
 
 class Trouble(Exception):
-    """What went wrong, in a sentence; `status` where a server said it."""
+    """An error with a message; `status` is the HTTP status if the server reported the error."""
 
     def __init__(self, sentence, status=None):
         super().__init__(sentence)
@@ -35,7 +35,7 @@ class Server:
         self.url, self.key, self.timeout = url, key, timeout
 
     def once(self, method, path, body=None, headers=None):
-        """One request. A refusal is a `Trouble` with what the server says of it; a broken connection is one of `BROKEN`."""
+        """Sends one request. An error status raises `Trouble` with the server's message; a broken connection raises one of `BROKEN`."""
         headers = {"Content-Type": "application/octet-stream", **(headers or {})}
         if self.key:
             headers["Authorization"] = f"Bearer {self.key}"
@@ -51,7 +51,7 @@ class Server:
             raise trouble from None
 
     def ask(self, method, path, body=None, headers=None):
-        """A request that is made again while the server is busy, for as long as it asks to wait."""
+        """Sends a request and repeats it while the server is busy, up to `TRIES` times, after the delay in Retry-After."""
         for attempt in range(TRIES):
             try:
                 return self.once(method, path, body, headers)
@@ -61,13 +61,13 @@ class Server:
                 time.sleep(trouble.retry_after)
 
     def json(self, method, path, body=None, headers=None):
-        """A request with JSON both ways."""
+        """Sends a JSON request and returns the JSON response."""
         sent = None if body is None else json.dumps(body).encode()
         headers = {"Content-Type": "application/json", **(headers or {})}
         return json.loads(self.ask(method, path, sent, headers).body)
 
     def poll(self, path, is_done, every=0.5):
-        """What is at `path`, as soon as it is as wished."""
+        """Requests `path` every `every` seconds until `is_done` accepts the response, and returns it."""
         while True:
             thing = self.json("GET", path)
             if is_done(thing):
@@ -75,7 +75,7 @@ class Server:
             time.sleep(every)
 
     def delete(self, path):
-        """Deletes what is at `path`, which may be gone already; an upload wants the header of its protocol."""
+        """Deletes `path`; it may already be deleted. The deletion of an upload needs the tus header."""
         try:
             self.ask("DELETE", path, headers=TUS)
         except Trouble as trouble:
@@ -86,14 +86,14 @@ class Server:
 
 
 def begin_upload(server, path):
-    """Where the pieces of a file go, by tus 1.0.0."""
+    """Creates a tus 1.0.0 upload and returns its location."""
     name = base64.b64encode(path.name.encode()).decode()
     headers = {**TUS, "Upload-Length": str(path.stat().st_size), "Upload-Metadata": f"filename {name}"}
     return server.ask("POST", "/v1/uploads", headers=headers).headers["Location"]
 
 
 def send_pieces(server, where, path, piece_bytes):
-    """Sends a file to `where` and goes on after a break. Each piece is kept whole or not at all."""
+    """Sends a file to `where` in chunks and resumes after a broken connection. The server stores each chunk completely or not at all."""
     size, offset, troubles, in_vain = path.stat().st_size, 0, 0, 0
     with path.open("rb") as file:
         while offset < size:
@@ -118,12 +118,12 @@ def send_pieces(server, where, path, piece_bytes):
                     in_vain += 1
                     if in_vain == IN_VAIN:
                         raise
-                print(f"the upload broke off and goes on at byte {offset} of {size}")
+                print(f"the connection broke; the upload goes on at byte {offset} of {size}")
 
 
 def where_to_go_on(server, where, trouble, troubles):
-    """How much of an upload the server has, after `troubles` troubles in a row."""
-    # Busy, an offset that moved on, or a piece that was changed on its way.
+    """The number of bytes that the server has stored, after `troubles` errors in a row. Raises `trouble` if a retry cannot help."""
+    # Temporary errors: a broken connection, a busy server, another offset (409), or a wrong checksum (460).
     passing = getattr(trouble, "status", None) in (None, 409, 460, *WAITING)
     if not passing or troubles > TRIES:
         raise trouble
@@ -135,7 +135,7 @@ def where_to_go_on(server, where, trouble, troubles):
 
 
 def sha256_of(path):
-    """The hash of a file, in hex, without holding it in memory."""
+    """The SHA-256 of a file in hex. Reads the file in blocks of 1 MiB."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
         while block := file.read(2**20):

@@ -1,4 +1,4 @@
-"""Receives webhooks and believes those alone that are signed, as Standard Webhooks has it."""
+"""Receives webhooks and accepts only messages with a valid signature of Standard Webhooks."""
 
 import base64
 import hashlib
@@ -9,25 +9,25 @@ import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-# Seconds by which the clocks of server and receiver may differ; an older message is somebody's repetition.
+# The maximum age of a message and difference of the clocks, seconds. An older message may be a replay.
 TOLERANCE = 300
 LONGEST_MESSAGE = 2**20
 
 
 def is_genuine(secret, headers, body, now):
-    """Whether `body` was signed with `secret` (`whsec_...`), not long before `now`."""
+    """Whether `body` was signed with `secret` (`whsec_...`), at most TOLERANCE seconds from `now`."""
     identifier, sent_at = headers.get("webhook-id", ""), headers.get("webhook-timestamp", "")
     if not sent_at.isdigit() or abs(now - int(sent_at)) > TOLERANCE:
         return False
     signed = f"{identifier}.{sent_at}.".encode() + body
     secret_bytes = base64.b64decode(secret[len("whsec_") :])
     wanted = "v1," + base64.b64encode(hmac.new(secret_bytes, signed, hashlib.sha256).digest()).decode()
-    # Several while a secret is being replaced.
+    # The header has several signatures during a rotation of the secret.
     return any(hmac.compare_digest(wanted.encode(), one.encode()) for one in headers.get("webhook-signature", "").split())
 
 
 class Receiver:
-    """Listens at `HOST:PORT` (port 0: any that is free) until it is left."""
+    """Listens at `HOST:PORT` (port 0: any free port) until its `with` block ends."""
 
     def __init__(self, listen):
         host, _, port = listen.rpartition(":")
@@ -40,7 +40,7 @@ class Receiver:
         receiver = self
 
         class Handler(BaseHTTPRequestHandler):
-            # Seconds that a sender may be silent.
+            # Timeout for reading from a sender, seconds.
             timeout = 30
 
             def do_POST(self):
@@ -59,7 +59,7 @@ class Receiver:
         return Handler
 
     def wait_for(self, job, patience):
-        """The message of the end of `job`, or None after `patience` seconds. A message can come twice, and be of other jobs."""
+        """The message about the end of `job`, or None after `patience` seconds. Skips messages about other jobs; a message may arrive twice."""
         end = time.monotonic() + patience
         while True:
             try:

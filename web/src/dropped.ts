@@ -1,14 +1,14 @@
 import type { Dropped } from './api/upload'
 
-/** Every file of a drop, those in folders included. */
+/** All files of a drop, including those in folders. */
 export async function filesOf(transfer: DataTransfer): Promise<Dropped[]> {
-  // Entries are there only until the event has ended.
+  // The browser clears the entries after the event, so read them before the first await.
   const entries = [...transfer.items].map((item) => item.webkitGetAsEntry()).filter((entry) => entry !== null)
   if (!entries.length) return filesIn(transfer.files)
   return (await Promise.all(entries.map(walk))).flat()
 }
 
-/** Files of an input, with their paths in the folder that was chosen. */
+/** The files of an input, with their paths in the selected folder. */
 export function filesIn(files: FileList | null): Dropped[] {
   return [...(files ?? [])].map((file) => ({ path: file.webkitRelativePath || file.name, file }))
 }
@@ -20,7 +20,7 @@ async function walk(entry: FileSystemEntry): Promise<Dropped[]> {
   }
   const reader = (entry as FileSystemDirectoryEntry).createReader()
   const found: Dropped[] = []
-  // A reader gives a hundred entries at a time.
+  // `readEntries` returns at most 100 entries per call.
   for (;;) {
     const some = await new Promise<FileSystemEntry[]>((done, failed) => reader.readEntries(done, failed))
     if (!some.length) return found

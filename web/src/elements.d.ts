@@ -3,7 +3,7 @@ import type { RelumeViewer } from './viewer/element'
 declare module 'preact' {
   namespace JSX {
     interface IntrinsicElements {
-      /** The viewer: see its class. */
+      /** The viewer; see the class `RelumeViewer`. */
       'relume-viewer': HTMLAttributes<RelumeViewer> & {
         model: string
         environment?: string

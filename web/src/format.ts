@@ -1,4 +1,4 @@
-/** Numbers and times as people read them. */
+/** Formats numbers and times for the user. */
 
 export function bytes(count: number): string {
   const units = ['B', 'kB', 'MB', 'GB', 'TB']
@@ -32,7 +32,7 @@ export function moment(rfc3339: string | null | undefined): string {
   return new Date(rfc3339).toLocaleString('en', { dateStyle: 'medium', timeStyle: 'short' })
 }
 
-/** What a thing is called: its name, or the end of its identifier. */
+/** The label of a resource: its name, or its kind and the last six characters of its identifier. */
 export function called(thing: { id: string; name?: string | null }, kind: string): string {
   return thing.name ?? `${kind} ${thing.id.slice(-6)}`
 }

@@ -1,15 +1,15 @@
 import { useCallback, useEffect, useRef, useState } from 'preact/hooks'
 import { ask, get, message, send } from './api/client'
 
-/** What is loaded from the API: at first nothing, then data or why there is none. */
+/** Data from the API: undefined at first, then the data or an error message. */
 export interface Loaded<T> {
   data: T | undefined
   error: string | undefined
-  /** Asks again and keeps what is shown meanwhile. */
+  /** Loads again; the current data stays until then. */
   reload: () => void
 }
 
-/** Loads a path, and again every `every` milliseconds where that is given. */
+/** Loads a path, and reloads it every `every` milliseconds if that is given. */
 export function useLoaded<T>(path: string | undefined, every?: number): Loaded<T> {
   const [state, setState] = useState<{ path?: string | undefined; data?: T; error?: string }>({})
   const [round, setRound] = useState(0)
@@ -33,7 +33,7 @@ export function useLoaded<T>(path: string | undefined, every?: number): Loaded<T
   return { data: isOfPath ? state.data : undefined, error: isOfPath ? state.error : undefined, reload }
 }
 
-/** A text, read again every `every` milliseconds where that is given; what was read stays where it cannot be. */
+/** Loads a text, and reloads it every `every` milliseconds if that is given. If a reload fails, the previous text stays. */
 export function useText(path: string, every?: number): string {
   const [text, setText] = useState('')
   const [round, setRound] = useState(0)
@@ -49,7 +49,7 @@ export function useText(path: string, every?: number): string {
   return text
 }
 
-/** An address for a picture that only a key may see; nothing before it has arrived. */
+/** An object URL of an image that needs an API key; undefined until the image has arrived. */
 export function usePicture(path: string | undefined): string | undefined {
   const [shown, setShown] = useState<{ path: string; url: string }>()
   useEffect(() => {
@@ -69,7 +69,7 @@ export function usePicture(path: string | undefined): string | undefined {
   return shown && shown.path === path ? shown.url : undefined
 }
 
-/** A picture that is asked for again and again, each time only if it has changed. `step` is what the server says of it. */
+/** An image that is requested every `every` milliseconds and transferred only if it has changed. `step` is its training step; `why` is the error message. */
 export function useWatched(path: string | undefined, every: number): { url?: string; step?: string; why?: string } {
   const [shown, setShown] = useState<{ url?: string; step?: string; why?: string }>({})
   const url = useRef<string | undefined>(undefined)

@@ -1,6 +1,6 @@
 import type { Camera, NewExport, RenderRequest } from './api/types'
 
-/** How a model is shown: what the address of its page says. */
+/** The display settings of a model, which the URL of its page stores. */
 export interface Look {
   /** A built-in map, `recovered`, or the identifier of an uploaded one. */
   light: string
@@ -12,7 +12,7 @@ export interface Look {
   output: string
 }
 
-/** Where a viewer's camera stands. */
+/** The camera of a viewer. */
 export interface View {
   azimuth: number
   elevation: number
@@ -28,7 +28,7 @@ export const OUTPUTS = ['rgb', 'albedo', 'normal', 'roughness', 'metalness', 'ao
 /** Outputs whose names differ in the API. */
 const API_OUTPUTS: Record<string, string> = { metalness: 'metallic', ao: 'visibility' }
 
-/** Names of the camera in an address. */
+/** Names of the camera parameters in a URL. */
 const VIEW = ['azimuth', 'elevation', 'distance', 'fov'] as const
 export type ViewAttributes = Partial<Record<(typeof VIEW)[number], number>>
 
@@ -48,7 +48,7 @@ export function readView(query: URLSearchParams): ViewAttributes {
   return Object.fromEntries(given.map((name) => [name, Number(query.get(name))]))
 }
 
-/** What of a look and a view an address needs to show them again. */
+/** The URL query that restores a look and a view. Default values are left out. */
 export function written(look: Look, view: View | undefined): Record<string, string> {
   const query: Record<string, string> = {}
   for (const [name, value] of Object.entries(look)) if (value !== PLAIN[name as keyof Look]) query[name] = String(value)
@@ -56,18 +56,18 @@ export function written(look: Look, view: View | undefined): Record<string, stri
   return query
 }
 
-/** What stands behind a layer: the light shows in a picture alone. */
+/** The background of an output. The light is a background of the output `rgb` only; other outputs are transparent instead. */
 export function backgroundOf({ background, output }: Look): string {
   return background === 'environment' && output !== 'rgb' ? 'transparent' : background
 }
 
-/** The light of a look as requests have it. */
+/** The environment of a render request for a look. */
 export function environment(look: Look, builtin: string[]): NonNullable<RenderRequest['environment']> {
   const light = look.light === 'recovered' || builtin.includes(look.light) ? { builtin: look.light } : { id: look.light }
   return { ...light, rotation_deg: look.rotation, exposure_ev: look.exposure }
 }
 
-/** The request for what a viewer shows. */
+/** The render request for the picture of a viewer. */
 export function requestOf(look: Look, view: View, builtin: string[], [width, height]: [number, number]): RenderRequest {
   const [a, e] = [(view.azimuth * Math.PI) / 180, (view.elevation * Math.PI) / 180]
   const [x, y, z] = view.target
@@ -77,7 +77,7 @@ export function requestOf(look: Look, view: View, builtin: string[], [width, hei
   return { camera, environment: environment(look, builtin), width, height, outputs: [API_OUTPUTS[look.output] ?? look.output], background: backgroundOf(look) }
 }
 
-/** What can be taken along, by how it is called here. */
+/** The labels of the exports. */
 export const TAKEN = {
   video: 'Turntable, video (mp4)',
   frames: 'Turntable, pictures (zip of png)',
@@ -88,7 +88,7 @@ export const TAKEN = {
   mesh: 'Mesh with textures (.glb)',
 } as const
 
-/** The request for an export under the light of a look; a turntable begins where the view stands. */
+/** The request for an export under the light of a look. A turntable begins at the camera of the view. */
 export function exportOf(what: keyof typeof TAKEN, look: Look, view: View | undefined, builtin: string[], frames: number, side: number): NewExport {
   switch (what) {
     case 'video':
@@ -114,7 +114,7 @@ export function exportOf(what: keyof typeof TAKEN, look: Look, view: View | unde
   }
 }
 
-/** The request for a photograph's own view. */
+/** The render request for the camera of a photograph. */
 export function requestAt(look: Look, { camera, width, height }: Camera, builtin: string[], longest: number): RenderRequest {
   const scale = Math.min(1, longest / Math.max(width, height))
   const size = { width: Math.round(width * scale), height: Math.round(height * scale) }
@@ -124,7 +124,7 @@ export function requestAt(look: Look, { camera, width, height }: Camera, builtin
   return { camera: { camera_to_world: camera.camera_to_world ?? null, ...(intrinsics ? { intrinsics } : {}) }, environment: environment(look, builtin), ...size, outputs: ['rgb'], background: 'transparent' }
 }
 
-/** The same request for a shell. */
+/** The render request as a curl command. */
 export function curl(url: string, request: RenderRequest, hasKey: boolean): string {
   const key = hasKey ? " \\\n  -H \"Authorization: Bearer $RELUME_API_KEY\"" : ''
   return `curl -o frame.png -H 'Content-Type: application/json' -H 'Accept: image/png'${key} \\\n  -d '${JSON.stringify(request)}' \\\n  ${url}`

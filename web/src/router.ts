@@ -1,6 +1,6 @@
 import { useEffect, useState } from 'preact/hooks'
 
-/** Where in the app somebody is: `#/models/ID?light=sunset`. */
+/** The current route: `#/models/ID?light=sunset`. */
 export interface Place {
   /** `['models', 'ID']` */
   path: string[]
@@ -12,7 +12,7 @@ export function place(hash: string): Place {
   return { path: path.split('/').filter(Boolean).map(decodeURIComponent), query: new URLSearchParams(query) }
 }
 
-/** The place that the address names. */
+/** The route in the URL. */
 export function usePlace(): Place {
   const [hash, setHash] = useState(location.hash)
   useEffect(() => {
@@ -32,7 +32,7 @@ export function go(to: string): void {
   location.hash = to
 }
 
-/** Names what is seen in the address, without a step in the history. */
+/** Replaces the route in the URL without a new history entry. */
 export function describe(path: string[], query: Record<string, string>): void {
   history.replaceState(history.state, '', link(path, query))
 }

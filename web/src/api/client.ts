@@ -1,14 +1,14 @@
 import type { Problem } from './types'
 
-/** Where the key is kept: until the tab is closed. */
+/** Name of the API key in session storage, which the browser keeps until the tab is closed. */
 const KEY = 'relume-api-key'
 
-/** What the server refused, in its own words. */
+/** An error response of the server, with the server's message. */
 export class Refused extends Error {
   readonly status: number
-  /** The kind, e.g. `not-found`. */
+  /** The kind of error, e.g. `not-found`. */
   readonly kind: string
-  /** Seconds after which to ask again. */
+  /** Seconds after which the client may retry. */
   readonly retryAfter: number | undefined
 
   constructor(status: number, problem: Problem | null, retryAfter?: number) {
@@ -19,7 +19,7 @@ export class Refused extends Error {
   }
 }
 
-/** The key that requests are made with. */
+/** The API key of requests. */
 export function apiKey(): string | undefined {
   return sessionStorage.getItem(KEY) ?? undefined
 }
@@ -32,19 +32,19 @@ export function setApiKey(key: string | undefined): void {
 let askForKey: (() => Promise<void>) | undefined
 let asking: Promise<void> | undefined
 
-/** `ask` is called when the server wants a key, and ends when there is one. */
+/** Sets the function that asks the user for a key; its promise resolves when a key has been entered. */
 export function onKeyNeeded(ask: () => Promise<void>): void {
   askForKey = ask
 }
 
-/** Asks the person for a key; all requests that need one wait for the same answer. */
+/** Asks the user for a key. All requests that need one wait for the same dialog. */
 export async function keyNeeded(): Promise<void> {
   if (!askForKey) return
   asking ??= askForKey().finally(() => (asking = undefined))
   await asking
 }
 
-/** A path of the API as an address, below wherever this page is. */
+/** The URL of an API path, relative to the URL of this page. */
 export function address(path: string): string {
   return new URL(path.replace(/^\//, ''), document.baseURI.replace(/#.*$/, '')).href
 }
@@ -54,18 +54,18 @@ export function authorization(): Record<string, string> {
   return key ? { Authorization: `Bearer ${key}` } : {}
 }
 
-/** The answer of the server, whatever its status is. Without a key that is good, the person is asked for one first. */
+/** Sends a request and returns the response, whatever its status. If the server requires a valid key, asks the user for one and retries. */
 export async function send(path: string, init: RequestInit = {}): Promise<Response> {
   for (;;) {
     const sent = apiKey()
     const answer = await fetch(address(path), { ...init, headers: { ...authorization(), ...init.headers } })
     if (answer.status !== 401) return answer
-    // Somebody may have entered one meanwhile.
+    // The user may have entered a key meanwhile.
     if (sent === apiKey()) await keyNeeded()
   }
 }
 
-/** Why an answer is a refusal. */
+/** The error of an error response. */
 export async function refusal(answer: Response): Promise<Refused> {
   const problem = (await answer.json().catch(() => null)) as Problem | null
   const retryAfter = answer.headers.get('retry-after')
@@ -95,7 +95,7 @@ export async function remove(path: string): Promise<void> {
   await ask(path, { method: 'DELETE' })
 }
 
-/** What went wrong, for people. */
+/** The message of an error for the user. */
 export function message(error: unknown): string {
   if (error instanceof Refused) return error.message
   if (error instanceof TypeError) return 'the server cannot be reached'

@@ -10,15 +10,15 @@ export type JobEvent =
 
 const ENDED: JobState[] = ['succeeded', 'rejected', 'failed', 'cancelled']
 
-/** Whether a job changes no more. */
+/** Whether a job is in a final state. */
 export function hasEnded(state: JobState | undefined): boolean {
   return state !== undefined && ENDED.includes(state)
 }
 
-/** Wait before a broken stream is opened again, milliseconds. */
+/** Delay before the client reopens a broken stream, milliseconds. */
 const AGAIN = 1500
 
-/** One block of a stream of server-sent events. */
+/** Parses one block of a stream of server-sent events. */
 export function parseBlock(block: string): { id: string; event: string; data: string } {
   const fields = { id: '', event: 'message', data: '' }
   for (const line of block.split('\n')) {
@@ -32,7 +32,7 @@ export function parseBlock(block: string): { id: string; event: string; data: st
   return fields
 }
 
-/** The events of a job from its beginning, until it has ended. Goes on after a broken connection where it broke. */
+/** Yields all events of a job until the job ends. After a broken connection it resumes after the last event. */
 export async function* jobEvents(job: string, signal: AbortSignal): AsyncGenerator<JobEvent[]> {
   let last = ''
   while (!signal.aborted) {
@@ -52,12 +52,12 @@ export async function* jobEvents(job: string, signal: AbortSignal): AsyncGenerat
     } catch (error) {
       if (signal.aborted || error instanceof Refused) return
     }
-    // The connection broke, or the server stops.
+    // The connection broke, or the server is shutting down.
     await new Promise((done) => setTimeout(done, AGAIN))
   }
 }
 
-/** The whole blocks of a stream, as many as came together. */
+/** Yields the complete blocks of a stream, in the groups in which they arrive. */
 async function* blocksOf(answer: Response): AsyncGenerator<string[]> {
   if (!answer.body) return
   let rest = ''

@@ -2,19 +2,19 @@ import { type HttpRequest, Upload } from 'tus-js-client'
 import { address, authorization, ask, keyNeeded, post, Refused } from './client'
 import type { Capture, Problem } from './types'
 
-/** A file with its path in the capture. */
+/** A file and its path in the capture. */
 export interface Dropped {
   path: string
   file: File
 }
 
-/** What was dropped: one archive, or the files of a capture. */
+/** The dropped files: one archive, or the files of a capture. */
 export type Selection = { archive: File } | { files: Dropped[] }
 
-/** Told of bytes that have arrived, of all. */
+/** Receives the bytes sent so far and the total. */
 export type OnProgress = (sent: number, total: number) => void
 
-/** Bytes of a piece of an archive: what is sent again at most after a break. */
+/** Bytes of an upload chunk; at most this much is sent again after a broken connection. */
 const PIECE = 8 << 20
 const ARCHIVE = /\.(zip|tar|tgz|tar\.gz)$/i
 const PHOTOGRAPH = /\.(png|jpe?g|webp|tiff?|exr)$/i
@@ -23,7 +23,7 @@ export function isPhotograph(path: string): boolean {
   return PHOTOGRAPH.test(path)
 }
 
-/** @throws {Error} that says what to drop instead. */
+/** @throws {Error} whose message tells the user what to drop instead. */
 export function selection(dropped: Dropped[]): Selection {
   const files = dropped.filter(({ path }) => !path.split('/').some((part) => part.startsWith('.')))
   const only = files[0]
@@ -33,7 +33,7 @@ export function selection(dropped: Dropped[]): Selection {
   return { files: withoutCommonFolder(files) }
 }
 
-/** Paths below the folder that holds them all. */
+/** Removes the first folder from all paths if they share it. */
 function withoutCommonFolder(files: Dropped[]): Dropped[] {
   const first = files[0]?.path.split('/')[0]
   const isCommon = first !== undefined && files.every(({ path }) => path.startsWith(`${first}/`))
@@ -41,7 +41,7 @@ function withoutCommonFolder(files: Dropped[]): Dropped[] {
   return withoutCommonFolder(files.map(({ path, file }) => ({ path: path.slice(first.length + 1), file })))
 }
 
-/** Makes a capture of what was dropped. */
+/** Uploads the dropped files as a capture. */
 export async function upload(what: Selection, name: string, onProgress: OnProgress, signal: AbortSignal): Promise<Capture> {
   if ('files' in what) return sendForm(what.files, name, onProgress, signal)
   const id = await sendArchive(what.archive, onProgress, signal)
@@ -52,9 +52,9 @@ function query(name: string): string {
   return name ? `?name=${encodeURIComponent(name)}` : ''
 }
 
-/** Sends an archive in pieces and gives its identifier. The same file goes on where it broke, also after the page was closed. */
+/** Sends an archive in chunks and returns the identifier of the upload. An upload of the same file resumes after a broken connection, even in a new page. */
 async function sendArchive(file: File, onProgress: OnProgress, signal: AbortSignal): Promise<string> {
-  // Asks for a key before anything is sent, where one is needed.
+  // If the server requires a key, this request asks the user for it before the upload begins.
   await ask('v1/usage')
   return new Promise((done, failed) => {
     const upload = new Upload(file, {
@@ -81,7 +81,7 @@ async function sendArchive(file: File, onProgress: OnProgress, signal: AbortSign
   })
 }
 
-/** Sends files as one form. `fetch` tells nothing of what was sent, hence the older request. */
+/** Sends files as one form. `fetch` reports no upload progress, so this uses XMLHttpRequest. */
 async function sendForm(files: Dropped[], name: string, onProgress: OnProgress, signal: AbortSignal): Promise<Capture> {
   await ask('v1/usage')
   const form = new FormData()

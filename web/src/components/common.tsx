@@ -1,7 +1,7 @@
 import type { ComponentChildren } from 'preact'
 import { usePicture } from '../hooks'
 
-/** A picture of the API. */
+/** An image from an API path. */
 export function Picture({ path, alt }: { path: string | undefined; alt: string }) {
   const url = usePicture(path)
   return url ? <img src={url} alt={alt} /> : null
@@ -11,12 +11,12 @@ export function Badge({ state }: { state: string }) {
   return <span class={`badge ${state}`}>{state}</span>
 }
 
-/** What went wrong; read out at once. */
+/** An error message, which screen readers announce immediately. */
 export function Failure({ error }: { error: string | undefined }) {
   return <div role="alert">{error ? <p class="notice bad">{error}</p> : null}</div>
 }
 
-/** The first lines of a page. */
+/** The header of a page. */
 export function Head(props: { title: string; back?: { to: string; label: string }; badge?: string | undefined; note?: ComponentChildren; children?: ComponentChildren }) {
   return (
     <header class="head">
@@ -30,12 +30,12 @@ export function Head(props: { title: string; back?: { to: string; label: string 
   )
 }
 
-/** Named figures. */
+/** A list of names and values. */
 export function Facts({ of }: { of: [string, ComponentChildren][] }) {
   return <dl class="facts">{of.map(([name, value]) => <div key={name}><dt>{name}</dt><dd>{value}</dd></div>)}</dl>
 }
 
-/** One of a few, as buttons of a radio group. */
+/** A radio group of buttons. */
 export function Choices(props: { legend: string; name: string; value: string; of: { value: string; label: string; hint?: string }[]; onChange: (value: string) => void; pills?: boolean }) {
   return (
     <fieldset>
@@ -53,7 +53,7 @@ export function Choices(props: { legend: string; name: string; value: string; of
   )
 }
 
-/** A slider that says its value. */
+/** A slider that shows its value. */
 export function Slider(props: { label: string; value: number; min: number; max: number; step: number; unit: string; onInput: (value: number) => void }) {
   const id = `slider-${props.label.toLowerCase().replace(/\W+/g, '-')}`
   return (
@@ -65,7 +65,7 @@ export function Slider(props: { label: string; value: number; min: number; max: 
   )
 }
 
-/** Saves a file that is in memory. */
+/** Saves a blob as a download. */
 export function save(blob: Blob, name: string): void {
   const url = URL.createObjectURL(blob)
   const anchor = Object.assign(document.createElement('a'), { href: url, download: name })

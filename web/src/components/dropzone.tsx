@@ -7,9 +7,9 @@ import { bytes } from '../format'
 import { photographsOf } from '../photos'
 import { Failure } from './common'
 
-/** Thumbnails of dropped photographs that are shown. */
+/** Maximum number of thumbnails of dropped photographs. */
 const SHOWN = 24
-/** Between two looks at a capture that is being validated, milliseconds. */
+/** Interval between two requests for a capture during its validation, milliseconds. */
 const POLL = 700
 
 interface Sending {
@@ -18,7 +18,7 @@ interface Sending {
   total: number
 }
 
-/** Takes a capture: an archive, a folder or photographs with their poses. */
+/** Accepts a capture: an archive, a folder, or photographs with their poses. */
 export function DropZone({ onDone }: { onDone: (capture: Capture) => void }) {
   const [over, setOver] = useState(false)
   const [sending, setSending] = useState<Sending>()
@@ -76,13 +76,13 @@ export function DropZone({ onDone }: { onDone: (capture: Capture) => void }) {
   )
 }
 
-/** Uploads, then waits until it is known whether the capture is good. */
+/** Uploads a capture, then waits until the server has validated it. */
 async function send(what: Selection, signal: AbortSignal, tell: (sending: Sending) => void): Promise<Capture> {
   const name = 'archive' in what ? what.archive.name.replace(/\.(zip|tar|tgz|tar\.gz)$/i, '') : ''
   const label = 'archive' in what ? what.archive.name : `${what.files.length} files`
   tell({ what: `Uploading ${label}`, sent: 0, total: 1 })
   let capture = await upload(what, name, (sent, total) => tell({ what: sent < total ? `Uploading ${label}` : 'Validating', sent, total }), signal)
-  // Poses take long: their progress is on the page of the capture.
+  // The search for poses takes long; the page of the capture shows its progress.
   while (capture.state === 'validating' && !capture.poses) {
     tell({ what: 'Validating', sent: 1, total: 1 })
     await new Promise((done) => setTimeout(done, POLL))
@@ -94,7 +94,7 @@ async function send(what: Selection, signal: AbortSignal, tell: (sending: Sendin
 
 function Progress({ of: { what, sent, total }, onStop }: { of: Sending; onStop: () => void }) {
   const percent = Math.floor((100 * sent) / Math.max(total, 1))
-  // Read out every tenth, not every piece.
+  // Screen readers announce steps of 10 %, not every chunk.
   const spoken = `${what}, ${Math.floor(percent / 10) * 10} %`
   return (
     <div class="stack">
@@ -110,7 +110,7 @@ function Progress({ of: { what, sent, total }, onStop }: { of: Sending; onStop: 
   )
 }
 
-/** Some of the photographs, small. */
+/** Thumbnails of the first photographs. */
 function Photographs({ of: photographs }: { of: Dropped[] }) {
   const [urls, setUrls] = useState<{ path: string; url: string }[]>([])
   useEffect(() => {

@@ -1,7 +1,7 @@
 import { useEffect, useRef, useState } from 'preact/hooks'
 import { onKeyNeeded, setApiKey } from '../api/client'
 
-/** Asks for an API key, once the server wants one. It is kept until the tab is closed. */
+/** Asks the user for an API key when the server requires one. The browser keeps it until the tab is closed. */
 export function KeyDialog() {
   const dialog = useRef<HTMLDialogElement>(null)
   const done = useRef<(() => void) | undefined>(undefined)
@@ -22,7 +22,7 @@ export function KeyDialog() {
     done.current?.()
   }
   return (
-    // Without a key there is nothing behind it to go back to.
+    // The user cannot cancel the dialog: without a key the page has nothing to show.
     <dialog ref={dialog} aria-labelledby="key-title" onCancel={(event) => event.preventDefault()}>
       <form onSubmit={enter}>
         <h2 id="key-title">This server asks for a key</h2>

@@ -4,7 +4,7 @@ import type { Environment, Environments } from '../api/types'
 import { called } from '../format'
 import { Failure, Picture } from './common'
 
-/** Chooses the light of a model; each choice shows the model under it. */
+/** Selects the light of a model. Each option shows the model under that light. */
 export function Lights(props: { model: string; value: string; lights: Environments | undefined; onChange: (light: string) => void; onAdded: () => void }) {
   const [error, setError] = useState<string>()
   const [busy, setBusy] = useState(false)

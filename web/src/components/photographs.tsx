@@ -2,12 +2,12 @@ import { useState } from 'preact/hooks'
 import type { Photograph } from '../api/types'
 import { Picture } from './common'
 
-/** Photographs that are shown before somebody asks for all. */
+/** Photographs that are shown until the user asks for all. */
 const SHOWN = 24
 /** Width of a thumbnail, pixels. */
 const WIDTH = 320
 
-/** Photographs of a capture, those with warnings first, each with what the validation found in it. What is so of all is left to the report. */
+/** The photographs of a capture with their validation warnings; photographs with warnings come first. Warnings that all photographs share are left out, because the report shows them. */
 export function PhotographList({ of: photographs }: { of: Photograph[] }) {
   const [all, setAll] = useState(false)
   const own = ({ warnings }: Photograph) => warnings.filter((warning) => !photographs.every((other) => other.warnings.includes(warning)))

@@ -1,14 +1,14 @@
-/** A value over the steps of a training. */
+/** A value as a function of the training step. */
 export interface Curve {
   points: { x: number; y: number }[]
 }
 
 const [WIDTH, HEIGHT] = [460, 190]
 const [LEFT, RIGHT, TOP, BOTTOM] = [44, 12, 10, 26]
-/** Points that are drawn at most; a screen shows no more. */
+/** Maximum number of drawn points; a screen cannot show more. */
 const MOST = 600
 
-/** Round steps that divide a range into three to six parts. */
+/** Round tick values that divide a range into three to six parts. */
 export function ticks(low: number, high: number): number[] {
   const span = high - low || 1
   const rough = span / 4
@@ -24,7 +24,7 @@ function thinned<T>(points: T[]): T[] {
   return points.filter((_, i) => i % every === 0 || i === points.length - 1)
 }
 
-/** Each value averaged with those around it: every step sees another photograph, some harder than others. */
+/** Averages each value with its neighbours, because each step uses another photograph and their errors differ. */
 function smooth(points: Curve['points']): Curve['points'] {
   const reach = Math.floor(points.length / 24)
   return points.map(({ x }, i) => {
@@ -33,7 +33,7 @@ function smooth(points: Curve['points']): Curve['points'] {
   })
 }
 
-/** A small plot of one or two curves. `log` has a logarithmic axis. */
+/** A small plot of one or two curves. `log` makes the value axis logarithmic. */
 export function Plot({ title, unit, curves, end, log }: { title: string; unit: string; curves: Curve[]; end: number; log?: boolean }) {
   const shape = (y: number) => (log ? Math.log10(Math.max(y, 1e-9)) : y)
   const all = curves.flatMap((curve) => curve.points.map(({ y }) => shape(y)))

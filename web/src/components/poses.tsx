@@ -2,7 +2,7 @@ import { duration } from '../format'
 import { useText } from '../hooks'
 import type { PosesProgress } from '../api/types'
 
-/** Between two looks at a capture that is being made, milliseconds. */
+/** Interval between two requests for an unfinished capture, milliseconds. */
 export const POLL = 1500
 
 const STAGES: Record<PosesProgress['stage'], string> = {
@@ -12,10 +12,10 @@ const STAGES: Record<PosesProgress['stage'], string> = {
   placing: 'Placing the photographs one after the other',
 }
 
-/** How far the search for poses is. */
+/** The progress of the search for poses. */
 export function Poses({ of: { stage, done }, since }: { of: PosesProgress; since: string }) {
   const percent = Math.floor(100 * done)
-  // Read out every tenth, not every photograph.
+  // Screen readers announce steps of 10 %, not every photograph.
   const spoken = stage === 'waiting' ? STAGES.waiting : `${STAGES[stage]}, ${10 * Math.floor(percent / 10)} %`
   return (
     <section class="card stack" aria-labelledby="poses">
@@ -28,7 +28,7 @@ export function Poses({ of: { stage, done }, since }: { of: PosesProgress; since
   )
 }
 
-/** What COLMAP said, read anew while it works; nothing where it said nothing. */
+/** The log of COLMAP, reloaded while COLMAP runs; nothing if the log is empty. */
 export function Log({ capture, works, open }: { capture: string; works: boolean; open: boolean }) {
   const text = useText(`v1/captures/${encodeURIComponent(capture)}/log`, works ? POLL : undefined)
   if (!text) return null

@@ -3,7 +3,7 @@ import type { Camera, Report } from '../api/types'
 
 type Vector = [number, number, number]
 
-/** A camera as it is drawn: where it stands and the corners of its picture, a bit before it. */
+/** A camera to draw: its position and the corners of its image plane, a short distance in front of it. */
 interface Drawn {
   eye: Vector
   corners: Vector[]
@@ -23,7 +23,7 @@ function drawn(camera: Camera, size: number): Drawn | undefined {
   return { eye: at(0, 0, 0), corners, heldOut: camera.held_out }
 }
 
-/** Where the photographs were taken from, around the subject: turned by pointer and arrow keys. */
+/** The cameras of the photographs around the object. Pointer and arrow keys rotate the view. */
 export function Rig({ cameras, report }: { cameras: Camera[]; report: Report }) {
   const canvas = useRef<HTMLCanvasElement>(null)
   const turn = useRef({ azimuth: -0.7, elevation: 0.45 })
@@ -88,7 +88,7 @@ function draw(element: HTMLCanvasElement, cameras: Camera[], report: Report, { a
     return [dx * cosA + dy * sinA, -dz * cosE - (dy * cosA - dx * sinA) * sinE]
   }
   const ring = (share: number) => Array.from({ length: 64 }, (_, i): Vector => [cx + report.radius * share * Math.cos(i * 0.0982), cy + report.radius * share * Math.sin(i * 0.0982), cz])
-  // Everything that is drawn, brought into the canvas with a margin.
+  // Scale the drawing to the canvas, with a margin.
   const extent = [...ring(1), ...shapes.flatMap(({ eye, corners }) => [eye, ...corners])].map(flat)
   const [left, right] = [Math.min(...extent.map(([x]) => x)), Math.max(...extent.map(([x]) => x))]
   const [top, bottom] = [Math.min(...extent.map(([, y]) => y)), Math.max(...extent.map(([, y]) => y))]
@@ -120,7 +120,7 @@ function draw(element: HTMLCanvasElement, cameras: Camera[], report: Report, { a
   }
 }
 
-/** What a custom property is in the scheme that is shown. */
+/** The value of a custom property in the current colour scheme. */
 function resolved(element: HTMLElement, name: string): string {
   const before = element.style.color
   element.style.color = `var(${name})`

@@ -8,10 +8,10 @@ import { Badge, Failure } from './common'
 
 type Taken = keyof typeof TAKEN
 
-/** Milliseconds between two looks while something is being made. */
+/** Interval between two requests for an unfinished export, milliseconds. */
 const EVERY = 1500
 
-/** Files of a model that the server makes on request, and those that it made. */
+/** Requests exports of a model and lists the existing ones. */
 export function TakeAlong({ model, look, view, lights }: { model: string; look: Look; view: View | undefined; lights: Environments | undefined }) {
   const [what, setWhat] = useState<Taken>('frames')
   const [frames, setFrames] = useState(60)
@@ -64,7 +64,7 @@ function Whole({ id, label, value, least, most, onInput }: { id: string; label: 
   )
 }
 
-/** One export: how far it is, or its file. */
+/** One export: its progress or its file. */
 function Made({ of: { id, kind, state, progress, file, error }, onAct }: { of: Export; onAct: (work: Promise<unknown>) => void }) {
   const isOver = state !== 'queued' && state !== 'running'
   return (
@@ -80,7 +80,7 @@ function Made({ of: { id, kind, state, progress, file, error }, onAct }: { of: E
   )
 }
 
-/** Has the browser download a file, however large; where there is a key, by a URL that is good for a minute. */
+/** Starts a browser download, which can be large. With an API key it uses a signed URL that is valid for one minute. */
 async function download(path: string): Promise<void> {
   const url = apiKey() ? (await post<SignedUrl>('v1/signed-urls', { path, expires_in: 60 })).url : path
   Object.assign(document.createElement('a'), { href: address(url), download: '' }).click()

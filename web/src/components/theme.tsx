@@ -3,7 +3,7 @@ import { useEffect, useState } from 'preact/hooks'
 const STORED = 'relume-theme'
 const NEXT: Record<string, string> = { auto: 'light', light: 'dark', dark: 'auto' }
 
-/** Light, dark, or as the system has it. */
+/** Selects the colour scheme: light, dark or the system's. */
 export function Theme() {
   const [theme, setTheme] = useState(() => localStorage.getItem(STORED) ?? 'auto')
   useEffect(() => {

@@ -5,10 +5,10 @@ import { useLoaded } from '../hooks'
 import { requestAt, type Look } from '../look'
 import { Failure, Slider } from './common'
 
-/** Longest side of the two pictures, pixels. */
+/** Longest side of both pictures, pixels. */
 const SIZE = 640
 
-/** A photograph, and the model in its view under the chosen light, with a slider between the two. */
+/** Shows a photograph and a frame of the model from the same camera under the selected light. A slider moves the border between them. */
 export function Wipe({ model, capture, look, lights }: { model: string; capture: string; look: Look; lights: Environments | undefined }) {
   const photographs = useLoaded<Photographs>(`v1/captures/${encodeURIComponent(capture)}/photographs?convention=opengl`)
   const [name, setName] = useState<string>()
@@ -41,7 +41,7 @@ export function Wipe({ model, capture, look, lights }: { model: string; capture:
   )
 }
 
-/** The photograph as a pinhole sees it, which lies on a frame of its camera. Where it cannot be had, a frame stands in for it. */
+/** The undistorted photograph, which matches a frame of its pinhole camera pixel by pixel. `isMissing`: it could not be loaded, and the caller shows a frame instead. */
 function useTaken(of: Photograph | undefined): { url?: string; isMissing?: boolean } {
   const [shown, setShown] = useState<{ path?: string; url?: string; isMissing?: boolean }>({})
   const width = of ? Math.max(16, Math.round(of.width * Math.min(1, SIZE / Math.max(of.width, of.height)))) : 0
@@ -65,7 +65,7 @@ function useTaken(of: Photograph | undefined): { url?: string; isMissing?: boole
   return shown.path === path ? shown : {}
 }
 
-/** The frame of a request; the one before stays until it has come. */
+/** The frame of a request. The previous frame stays until the new one has arrived. */
 function useFrame(model: string, request: RenderRequest | undefined): { url?: string; error?: string } {
   const [shown, setShown] = useState<{ url?: string; error?: string }>({})
   const body = request ? JSON.stringify(request) : undefined

@@ -22,7 +22,7 @@ export function CapturesPage() {
   )
 }
 
-/** What is being made, or could not be made: lists of captures have it once it is ready. */
+/** Uploads whose captures are not ready or failed. The list of captures has only ready ones. */
 function Unmade() {
   const uploads = useLoaded<Listed<Upload>>('v1/uploads?limit=100', 5000)
   const unmade = (uploads.data?.items ?? []).filter(({ capture }) => capture)

@@ -7,7 +7,7 @@ import { useLoaded, useTitle } from '../hooks'
 import { link } from '../router'
 import { curve, useEvents } from './job'
 
-/** Settings of a card that say nothing about a training. */
+/** Settings of a model card that do not describe the training. */
 const SILENT = ['forced']
 
 export function ComparePage({ a, b }: { a: string; b: string }) {
@@ -59,7 +59,7 @@ interface Side {
   job: Job | undefined
   model: Model | undefined
   error: string | undefined
-  /** Whether all of it that there is has been loaded. */
+  /** Whether all data has been loaded. */
   isComplete: boolean
 }
 

@@ -9,10 +9,10 @@ import { called, count, decibels, duration, moment, share } from '../format'
 import { useLoaded, useTitle, useWatched } from '../hooks'
 import { go, link } from '../router'
 
-/** Between two looks at a training, milliseconds. */
+/** Interval between two requests for the preview, milliseconds. */
 const LOOK = 1500
 
-/** The events of a job so far. */
+/** The events that have arrived for a job. */
 export function useEvents(id: string | undefined): JobEvent[] {
   const [events, setEvents] = useState<JobEvent[]>([])
   useEffect(() => {
@@ -27,7 +27,7 @@ export function useEvents(id: string | undefined): JobEvent[] {
   return events
 }
 
-/** A figure of the training over its steps. */
+/** A figure of the training as a function of the step. */
 export function curve(events: JobEvent[], figure: 'psnr' | 'loss'): { points: { x: number; y: number }[] } {
   const points = events.flatMap((event) => {
     const value = event.kind === 'progress' && event.message === 'training' ? event[figure] : undefined
@@ -99,7 +99,7 @@ function Live({ job, state, events }: { job: Job; state: JobState; events: JobEv
   )
 }
 
-/** The model as it is now; it sharpens while it trains. */
+/** A preview of the model during the training. */
 function Preview({ job, state }: { job: Job; state: JobState }) {
   const isOver = hasEnded(state) && !job.model
   const { url, step, why } = useWatched(isOver ? undefined : `v1/jobs/${encodeURIComponent(job.id)}/preview?size=448`, job.model ? 1e8 : LOOK)

@@ -6,7 +6,7 @@ import { called, count, decibels, moment } from '../format'
 import { useLoaded, useTitle } from '../hooks'
 import { go, link } from '../router'
 
-/** Between two looks at the list, milliseconds. */
+/** Interval between two requests for the list, milliseconds. */
 const POLL = 3000
 
 const PRESETS = [

@@ -11,7 +11,7 @@ import { backgroundOf, curl, OUTPUTS, readLook, readView, requestOf, written, ty
 import { describe, go, link } from '../router'
 import type { RelumeViewer } from '../viewer/element'
 
-/** Side of the frame that the shown command renders, pixels. */
+/** Width and height of the frame in the curl command, pixels. */
 const COMMAND_SIZE = 1024
 
 export function ModelPage({ id, query }: { id: string; query: URLSearchParams }) {
@@ -63,11 +63,11 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
   )
 }
 
-/** The viewer and what is done with what it shows. */
+/** The viewer and the actions on its picture. */
 function Theatre(props: { model: Model; look: Look; query: URLSearchParams; lights: Environments | undefined; view: View | undefined; onView: (view: View) => void }) {
   const { model, look, lights, view, onView } = props
   const viewer = useRef<RelumeViewer>(null)
-  // Where the address says that it stands; later the viewer says so.
+  // The initial camera comes from the URL; later the viewer reports its camera.
   const [start] = useState(() => readView(props.query))
   const [mode, setMode] = useState<string>()
   const [turning, setTurning] = useState(false)
@@ -94,7 +94,7 @@ function Theatre(props: { model: Model; look: Look; query: URLSearchParams; ligh
     return 'The frame was saved'
   }
   const copy = async (text: string, what: string) => {
-    // Browsers have one on localhost and over https.
+    // Browsers provide a clipboard only on localhost and over https.
     if (!window.isSecureContext) throw new Error('this page cannot copy without https; select the text instead')
     await navigator.clipboard.writeText(text)
     return `${what} was copied`
@@ -146,7 +146,7 @@ function Background({ value, onChange }: { value: string; onChange: (background:
   )
 }
 
-/** What a model's card says that people ask for. */
+/** The fields of a model card that the page shows. */
 interface Card {
   figures?: { novel_view?: { psnr?: number; ssim?: number } }
   training_seconds?: number
@@ -174,7 +174,7 @@ function Figures({ of: model }: { of: Model }) {
 }
 
 function Files({ of: model, onError }: { of: Model; onError: (error: string) => void }) {
-  // By `fetch`, which sends the key; a plain link would not.
+  // `fetch` sends the API key; a link does not.
   const fetchFile = (href: string, name: string) => ask(href).then((answer) => answer.blob()).then((blob) => save(blob, name), (error: unknown) => onError(message(error)))
   return (
     <section class="card" aria-labelledby="files">

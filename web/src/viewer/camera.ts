@@ -2,11 +2,11 @@ import { eye, type OrbitView } from './orbit'
 
 type Triple = [number, number, number]
 
-/** A pinhole camera in the world of a model: OpenCV axes, world to camera `R x + t`. */
+/** A pinhole camera in the world space of a model: OpenCV axes, world to camera `R x + t`. */
 export interface Camera {
   width: number
   height: number
-  /** Pixels, in x and y. */
+  /** Focal length in x and y, pixels. */
   focal: number
   /** Rows of R. */
   rotation: [Triple, Triple, Triple]
@@ -27,7 +27,7 @@ function unit(v: Triple): Triple {
   return [v[0] / length, v[1] / length, v[2] / length]
 }
 
-/** The camera of a view in capture units, in the model's world `scale * (x + offset)`; +Z is up in both. */
+/** Converts a view in capture units to a camera in the model's world space, `scale * (x + offset)`. +Z is up in both. */
 export function cameraOf(view: OrbitView, [width, height]: [number, number], scale: number, offset: Triple): Camera {
   const from = eye(view)
   const forward = unit(minus(view.target, from))

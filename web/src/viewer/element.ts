@@ -6,7 +6,7 @@ import { ServedView } from './served'
 
 export type { ViewerMode } from './engine'
 
-/** What is fired as `relume-view`: where the camera stands, degrees and capture units. */
+/** The detail of the event `relume-view`: the camera, in degrees and capture units. */
 export type ViewDetail = OrbitView
 
 const SHEET = new CSSStyleSheet()
@@ -16,14 +16,14 @@ SHEET.replaceSync(`
   img, canvas { display: block; width: 100%; height: 100%; object-fit: contain; user-select: none; }
 `)
 
-/** Turn of `auto-rotate`, degrees a second, and at most in one picture. */
+/** Rotation of `auto-rotate`: degrees per second, and maximum degrees per picture. */
 const SPIN = 30
 const MOST_TURN = 3
 
 const NUMBERS = ['azimuth', 'elevation', 'distance', 'fov'] as const
 
 /**
- * `<relume-viewer model="ID">`: a model of a Relume server, relit and turned by hand.
+ * `<relume-viewer model="ID">`: shows a model of a Relume server. The page sets the light, and the user rotates the model.
  *
  * Attributes: `server`, `model`, `environment` (a built-in map, `recovered` or an identifier), `rotation` (degrees), `exposure` (stops),
  * `background` (`transparent`, `environment` or `#rrggbb`), `output` (`rgb`, `albedo`, `normal`, `roughness`, `metalness`, `ao`, `depth`),
@@ -41,7 +41,7 @@ export class RelumeViewer extends HTMLElement {
   #frames: Frames | undefined
   #engine: Engine | undefined
   #apiKey: string | undefined
-  /** When the last turn of `auto-rotate` was, milliseconds. */
+  /** Time of the last rotation of `auto-rotate`, milliseconds. */
   #turned = 0
 
   constructor() {
@@ -49,7 +49,7 @@ export class RelumeViewer extends HTMLElement {
     this.#root.adoptedStyleSheets = [SHEET]
   }
 
-  /** A key of the server; sent with every request. */
+  /** An API key of the server. The viewer sends it with every request. */
   get apiKey(): string | undefined {
     return this.#apiKey
   }
@@ -83,12 +83,12 @@ export class RelumeViewer extends HTMLElement {
     }
   }
 
-  /** Where the camera stands. */
+  /** The current camera. */
   camera(): OrbitView {
     return this.#orbit.view()
   }
 
-  /** What is shown, whole and sharp, as a PNG. Rejects when no model is shown. */
+  /** The current picture at full quality as a PNG. Rejects if no model is shown. */
   async snapshot(): Promise<Blob> {
     if (!this.#engine) throw new Error('no model is shown')
     return this.#engine.snapshot(this.#look(), this.camera())
@@ -98,7 +98,7 @@ export class RelumeViewer extends HTMLElement {
     const given = this.getAttribute('server')
     if (given) return given.replace(/\/*$/, '/')
     if (import.meta.env.DEV) return new URL('./', document.baseURI).href
-    // Where this script came from, whichever chunk of it this is.
+    // The folder of the viewer's script; this code may be in a chunk below assets/.
     return import.meta.url.replace(/(assets\/)?[^/]*$/, '')
   }
 
@@ -117,13 +117,13 @@ export class RelumeViewer extends HTMLElement {
     }
   }
 
-  /** Draws with `live`, or with frames of the server where there is none. */
+  /** Draws with `live`, or with frames of the server without it. */
   async #begin(frames: Frames, live?: Engine): Promise<void> {
     const engine = live ?? (await ServedView.open(frames, this.#listener(frames), this.camera().fov))
     if (this.#frames !== frames) return engine.close()
     const before = this.#engine
     this.#engine = engine
-    // What takes over from another engine goes on where that was.
+    // An engine that replaces another keeps the current camera.
     if (!before) this.#orbit.set(engine.begin)
     before?.close()
     this.#root.replaceChildren(engine.node)
@@ -180,7 +180,7 @@ export class RelumeViewer extends HTMLElement {
     this.#engine?.draw(this.#look(), this.camera(), moving && this.hasAttribute('auto-rotate'))
   }
 
-  /** The next turn of `auto-rotate`. */
+  /** Rotates the camera by one step of `auto-rotate`. */
   #spin(): void {
     if (!this.hasAttribute('auto-rotate')) return
     const now = performance.now()

@@ -1,33 +1,33 @@
 import type { Look } from './frames'
 import type { OrbitView } from './orbit'
 
-/** Which engine draws. */
+/** The engine that draws. */
 export type ViewerMode = 'webgpu' | 'server'
 
-/** Draws a model where the viewer shows it. */
+/** Draws a model in the viewer. */
 export interface Engine {
   readonly mode: ViewerMode
-  /** What shows the picture. */
+  /** The element that shows the picture. */
   readonly node: HTMLElement
-  /** The view to begin with. */
+  /** The initial view. */
   readonly begin: Partial<OrbitView>
-  /** Draws soon; `moving`: more follows, so that time counts more than detail. */
+  /** Schedules a picture. `moving`: more pictures follow, so the engine may reduce detail to save time. */
   draw(look: Look, view: OrbitView, moving: boolean): void
-  /** The whole picture as a PNG, once everything that it needs has come. */
+  /** The complete picture as a PNG; waits until all its data has arrived. */
   snapshot(look: Look, view: OrbitView): Promise<Blob>
   close(): void
 }
 
-/** Told by an engine. */
+/** Receives the events of an engine. */
 export interface EngineListener {
-  /** Size of the place of the picture, CSS pixels. */
+  /** Size of the picture's area, CSS pixels. */
   size(): [number, number]
-  /** The first whole picture is shown. */
+  /** The first complete picture is shown. */
   ready(): void
-  /** A picture is shown and another could follow. */
+  /** A picture is shown, and the engine can draw another. */
   shown(): void
-  /** Something that was asked for could not be drawn. */
+  /** The engine could not draw a requested picture. */
   failed(error: unknown): void
-  /** The engine cannot go on. */
+  /** The engine cannot continue, e.g. because it lost its device. */
   lost(): void
 }

@@ -3,7 +3,7 @@ import { eye, type OrbitView } from './orbit'
 
 type RenderRequest = components['schemas']['RenderRequest']
 
-/** Everything about a frame but the camera. */
+/** All settings of a frame except the camera. */
 export interface Look {
   environment: string
   /** Degrees. */
@@ -29,19 +29,19 @@ export function renderRequest(look: Look, view: OrbitView, [width, height]: [num
     height,
     outputs: [OUTPUTS[look.output] ?? look.output],
     background: look.background,
-    // `preview` has colour alone.
+    // The tier `preview` has only colour.
     tier: fast && look.output === 'rgb' ? 'preview' : 'standard',
   }
 }
 
-/** A model of a server: what is asked of it. */
+/** The requests for a model of a server. */
 export class Frames {
   readonly #server: string
   readonly #model: string
   readonly #headers: Record<string, string>
   readonly #closed = new AbortController()
 
-  /** `server` ends with a slash. */
+  /** `server` must end with a slash. */
   constructor(server: string, model: string, apiKey?: string) {
     this.#server = server
     this.#model = encodeURIComponent(model)
@@ -52,7 +52,7 @@ export class Frames {
     this.#closed.abort()
   }
 
-  /** The ball that holds the model, capture units. */
+  /** The bounding sphere of the model, capture units. */
   async framing(): Promise<{ centre: [number, number, number]; radius: number }> {
     const model = (await (await this.#ask(`models/${this.#model}`)).json()) as components['schemas']['ModelView']
     try {
@@ -67,18 +67,18 @@ export class Frames {
     }
   }
 
-  /** What a viewer draws the model with. */
+  /** The model stream (docs/viewer-stream.md). */
   stream(): Promise<Response> {
     return this.#ask(`models/${this.#model}/stream`)
   }
 
-  /** What a viewer shades the model with under a light; `map`: also to show the light behind it. */
+  /** The light stream for an environment. `map`: includes the environment map, to show it as the background. */
   light({ environment, rotation }: Look, map: boolean, signal: AbortSignal): Promise<Response> {
     const query = new URLSearchParams({ environment, rotation: String(rotation), map: String(map) })
     return this.#ask(`models/${this.#model}/light?${query}`, { signal })
   }
 
-  /** A frame as a PNG; `fast` trades detail for time. */
+  /** A frame as a PNG. `fast` reduces detail to save time. */
   async frame(look: Look, view: OrbitView, size: [number, number], fast = false): Promise<Blob> {
     const body = JSON.stringify(renderRequest(look, view, size, fast))
     const headers = { 'Content-Type': 'application/json', Accept: 'image/png' }

@@ -8,7 +8,7 @@ import { SceneLight, SceneModel } from './gpu/scene'
 import type { OrbitView } from './orbit'
 import { readStream, type LightHeader, type ModelHeader } from './stream'
 
-/** A light that was asked for. */
+/** A requested light. */
 interface Lighting {
   key: string
   light: SceneLight
@@ -16,7 +16,7 @@ interface Lighting {
   whole: Promise<void>
 }
 
-/** Draws the model in the browser by WebGPU. */
+/** Draws the model in the browser with WebGPU. */
 export class LiveView implements Engine {
   readonly mode = 'webgpu'
   readonly node: HTMLCanvasElement
@@ -27,10 +27,10 @@ export class LiveView implements Engine {
   readonly #model: SceneModel
   readonly #whole: Promise<void>
   readonly #painter: Painter
-  /** What is shown, and what will be once it has come. */
+  /** The current light, and the light that replaces it when it has arrived. */
   #shown: Lighting | undefined
   #coming: Lighting | undefined
-  /** Key of the light that could not be had the last time, which is not asked for again with every picture. */
+  /** Key of the light whose last request failed. The viewer does not request it again with every picture. */
   #refused = ''
   #wish: { look: Look; view: OrbitView } | undefined
   #frame = 0
@@ -57,7 +57,7 @@ export class LiveView implements Engine {
     this.#whole.catch(lost)
   }
 
-  /** Opens a device and begins to load the model; nothing where this browser cannot draw it. */
+  /** Opens a device and begins to load the model; undefined if this browser cannot draw it. */
   static async open(frames: Frames, listener: EngineListener): Promise<LiveView | undefined> {
     const device = await openDevice()
     if (!device) return undefined
@@ -75,7 +75,7 @@ export class LiveView implements Engine {
         view?.invalidate()
       })
       const whole = frames.stream().then((answer) => readStream<ModelHeader>(answer, 'RLMG', model))
-      // What becomes of it later is asked by the view.
+      // The view handles later errors of `whole`; this prevents an unhandled rejection.
       whole.catch(() => {})
       await Promise.race([beginning, whole])
       const pipelines = await makePipelines(device, format, model.coefficients)
@@ -99,7 +99,7 @@ export class LiveView implements Engine {
     this.draw(look, view)
     await Promise.all([this.#whole, this.#coming?.whole])
     if (this.#shown?.key !== keyOf(look) || !this.#paint()) throw new Error('the light is not there')
-    // In the same task, while the canvas still has the picture.
+    // Call `toBlob` in the same task, because the canvas loses its picture afterwards.
     return new Promise((resolve, reject) => {
       this.node.toBlob((blob) => (blob ? resolve(blob) : reject(new Error('the canvas gave no picture'))), 'image/png')
     })
@@ -113,7 +113,7 @@ export class LiveView implements Engine {
     this.#device.destroy()
   }
 
-  /** Draws before the screen shows the next picture. */
+  /** Schedules a picture for the next animation frame. */
   invalidate(): void {
     if (this.#closed) return
     this.#frame ||= requestAnimationFrame(() => {
@@ -122,7 +122,7 @@ export class LiveView implements Engine {
     })
   }
 
-  /** Sees to it that the light of `look` comes. What is shown stays until it is there. */
+  /** Requests the light of `look`. The current light stays until the new one has arrived. */
   #lit(look: Look): void {
     const key = keyOf(look)
     if ((this.#coming ?? this.#shown)?.key === key || this.#refused === key) return
@@ -130,7 +130,7 @@ export class LiveView implements Engine {
     this.#coming?.abort.abort()
     const abort = new AbortController()
     const light = new SceneLight(this.#device, () => {
-      // The first light is shown as it comes.
+      // The first light is shown while it arrives.
       if (!this.#shown) this.#shown = lighting
       this.invalidate()
     })
@@ -163,7 +163,7 @@ export class LiveView implements Engine {
     }
   }
 
-  /** Draws now; false where there is nothing to draw yet. */
+  /** Draws now; returns false if there is nothing to draw yet. */
   #paint(): boolean {
     if (this.#closed || !this.#wish || !this.#shown) return false
     const { look, view } = this.#wish
@@ -184,7 +184,7 @@ export class LiveView implements Engine {
   }
 }
 
-/** The view that a stream begins with. */
+/** The initial view in the header of a stream. */
 function firstView({ framing: { eye, target, fov_deg } }: ModelHeader): Partial<OrbitView> {
   const [x, y, z] = [eye[0] - target[0], eye[1] - target[1], eye[2] - target[2]]
   const degrees = (radians: number) => (radians * 180) / Math.PI
@@ -201,7 +201,7 @@ function showsLight({ background, output }: Look): boolean {
   return background === 'environment' && output === 'rgb'
 }
 
-/** Names what the server prepares for a look. */
+/** The key of the light that the server prepares for a look. */
 function keyOf(look: Look): string {
   return JSON.stringify([look.environment, look.rotation, showsLight(look)])
 }

@@ -1,18 +1,18 @@
-/** A camera that circles a point: degrees, capture units, +Z up. */
+/** A camera that orbits a point. Angles are in degrees and lengths in capture units; +Z is up. */
 export interface OrbitView {
-  /** Degrees counter-clockwise seen from above; 0 stands on the +x side. */
+  /** Degrees counter-clockwise seen from above; at 0 the camera is on the +x side. */
   azimuth: number
   /** Degrees above the horizon, -89 to 89. */
   elevation: number
-  /** From the target. */
+  /** Distance from the target. */
   distance: number
-  /** What it looks at. */
+  /** The point at which the camera looks. */
   target: [number, number, number]
   /** Vertical field of view. */
   fov: number
 }
 
-/** Where an orbiting camera stands. */
+/** The position of an orbiting camera. */
 export function eye({ azimuth, elevation, distance, target }: OrbitView): [number, number, number] {
   const [a, e] = [(azimuth * Math.PI) / 180, (elevation * Math.PI) / 180]
   const [x, y, z] = target
@@ -23,12 +23,12 @@ export function eye({ azimuth, elevation, distance, target }: OrbitView): [numbe
   ]
 }
 
-/** Degrees a key turns by. */
+/** Degrees per key press. */
 const STEP = 5
-/** Degrees a pixel of a drag turns by. */
+/** Degrees per pixel of a drag. */
 const DRAG = 0.4
 
-/** Turns pointers, wheel and keys over an element into an orbit. */
+/** Controls an orbit with pointer, wheel and keyboard events of an element. */
 export class Orbit {
   readonly #element: HTMLElement
   readonly #changed: () => void
@@ -50,7 +50,7 @@ export class Orbit {
     this.#view.elevation = Math.min(89, Math.max(-89, this.#view.elevation))
   }
 
-  /** Sees a ball whole. */
+  /** Sets the target and the distance so that the whole ball is visible. */
   frame({ centre, radius }: { centre: [number, number, number]; radius: number }): void {
     const distance = (1.1 * radius) / Math.sin((this.#view.fov * Math.PI) / 360)
     this.set({ target: centre, distance })

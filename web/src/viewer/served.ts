@@ -4,9 +4,9 @@ import type { OrbitView } from './orbit'
 
 /** Longest side of frames while the camera moves, pixels. */
 const MOVING = 256
-/** Longest side of frames when it rests, pixels. */
+/** Longest side of frames when the camera rests, pixels. */
 const RESTING = 1024
-/** Rest before a sharp frame is asked for, milliseconds. */
+/** Delay before the viewer requests a sharp frame after the last movement, milliseconds. */
 const SETTLE = 180
 
 interface Wish {
@@ -26,7 +26,7 @@ export class ServedView implements Engine {
   #closed = false
   #busy = false
   #ready = false
-  /** The newest wish, while a frame is on its way. */
+  /** The newest requested picture while a frame is being loaded. */
   #next: Wish | undefined
 
   private constructor(frames: Frames, listener: EngineListener, begin: Partial<OrbitView>) {
@@ -91,7 +91,7 @@ export class ServedView implements Engine {
     this.#listener.shown()
   }
 
-  /** The frame's size with a longest side of `most`, never more than the screen has. */
+  /** The frame's size with a longest side of `most` or less; never more pixels than the screen shows. */
   #size(most: number): [number, number] {
     const [width, height] = this.#listener.size()
     const scale = Math.min(most / Math.max(width, height, 1), window.devicePixelRatio || 1)

@@ -1,7 +1,7 @@
 const BITS = 11
 const BUCKETS = 1 << BITS
 
-/** Orders points by depth along one direction, nearest first, ties by index: a radix sort of the bits of the depths. */
+/** Sorts points by depth along a direction, nearest first, ties by index. Uses a radix sort of the bits of the depths. */
 export class DepthSort {
   #keys = new Uint32Array(0)
   #order = new Uint32Array(0)
@@ -18,9 +18,9 @@ export class DepthSort {
     const keys = this.#keys
     const depths = new Float32Array(keys.buffer)
     for (let i = 0; i < count; i++) {
-      // Adding zero turns -0 into 0.
+      // Adding 0 converts -0 to 0.
       depths[i] = x * points[3 * i]! + y * points[3 * i + 1]! + z * points[3 * i + 2]! + 0
-      // Positive floats order like their bits, negative ones the other way.
+      // The bits of positive floats sort in ascending order, those of negative floats in descending order.
       const bits = keys[i]!
       keys[i] = bits >>> 31 ? ~bits : bits | 0x80000000
       this.#order[i] = i

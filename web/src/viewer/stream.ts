@@ -8,9 +8,9 @@ export interface Quantity {
   type: 'f32' | 'f16' | 'u16' | 'u8'
   components: number
   count: number
-  /** Of `f16`. */
+  /** For `f16`: the factor of the stored values. */
   scale?: number
-  /** Bounds of each component, of `u16` and `u8`. */
+  /** For `u16` and `u8`: the bounds of each component. */
   low?: number[]
   high?: number[]
 }
@@ -20,7 +20,7 @@ interface Layout {
   records: { count: number; stride: number; fields: Quantity[] }
 }
 
-/** What a model's stream begins with. */
+/** The header of a model stream. */
 export interface ModelHeader extends Layout {
   shading: {
     visibility: string
@@ -31,14 +31,14 @@ export interface ModelHeader extends Layout {
     low_pass_compensation: boolean
     srgb: boolean
   }
-  /** From capture to model: `scale * (x + offset)`. */
+  /** The transform from capture to model space: `scale * (x + offset)`. */
   world_scale: number
   world_offset: [number, number, number]
-  /** A view to begin with, capture units. */
+  /** The initial view, capture units. */
   framing: { eye: [number, number, number]; target: [number, number, number]; fov_deg: number }
 }
 
-/** What a light's stream begins with. */
+/** The header of a light stream. */
 export interface LightHeader extends Layout {
   diffuse_nodes: number
   coefficients: number
@@ -47,7 +47,7 @@ export interface LightHeader extends Layout {
   map?: { width: number; height: number }
 }
 
-/** Receives a stream. */
+/** Receives the decoded data of a stream. */
 export interface Sink<Header extends Layout> {
   /** Called once, with all arrays. */
   begin(header: Header, arrays: Map<string, Float32Array>): void
@@ -57,7 +57,7 @@ export interface Sink<Header extends Layout> {
 
 const BYTES = { f32: 4, f16: 2, u16: 2, u8: 1 } as const
 
-/** Reads a stream from its answer. Rejects what is none, of another version, or cut off. */
+/** Reads a stream from a response. Rejects if the format or version is wrong or the stream is truncated. */
 export async function readStream<Header extends Layout>(answer: Response, magic: string, sink: Sink<Header>): Promise<void> {
   const reader = new Reader<Header>(magic, sink)
   if (!answer.body) throw new Error('the stream is empty')
@@ -65,7 +65,7 @@ export async function readStream<Header extends Layout>(answer: Response, magic:
   reader.end()
 }
 
-/** Safari has no async iterator of streams. */
+/** Yields the chunks of a stream. Safari has no async iterator for streams. */
 async function* pieces(body: ReadableStream<Uint8Array>): AsyncGenerator<Uint8Array> {
   const reader = body.getReader()
   try {
@@ -82,7 +82,7 @@ async function* pieces(body: ReadableStream<Uint8Array>): AsyncGenerator<Uint8Ar
 class Reader<Header extends Layout> {
   readonly #magic: string
   readonly #sink: Sink<Header>
-  /** What has come and was not read yet. */
+  /** Bytes that have arrived and have not been parsed. */
   #rest = new Uint8Array(0)
   #header: Header | undefined
   #begun = false
@@ -167,7 +167,7 @@ function rowBytes({ type, components }: Quantity): number {
   return BYTES[type] * components
 }
 
-/** `rows` rows of a quantity, the first at `start`, `stride` bytes apart. */
+/** Decodes `rows` rows of a quantity; the first is at `start`, and they are `stride` bytes apart. */
 function decode(view: DataView, quantity: Quantity, start: number, stride: number, rows: number): Float32Array {
   const { components, type } = quantity
   const out = new Float32Array(rows * components)
@@ -178,7 +178,7 @@ function decode(view: DataView, quantity: Quantity, start: number, stride: numbe
   return out
 }
 
-/** Reads the value of component `k` at a byte. */
+/** Returns a function that decodes component `k` at a byte offset. */
 function readerOf(view: DataView, { type, scale = 1, low = [], high = [] }: Quantity): (at: number, k: number) => number {
   const between = (share: number, k: number) => (low[k] ?? 0) + ((high[k] ?? 0) - (low[k] ?? 0)) * share
   switch (type) {
@@ -195,7 +195,7 @@ function readerOf(view: DataView, { type, scale = 1, low = [], high = [] }: Quan
 
 let table: Float32Array | undefined
 
-/** The value of each half float. */
+/** A table of the values of all half floats. */
 function halfs(): Float32Array {
   table ??= Float32Array.from({ length: 65536 }, (_, bits) => {
     const [exponent, fraction] = [(bits >> 10) & 31, bits & 1023]

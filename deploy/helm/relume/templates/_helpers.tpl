@@ -1,9 +1,9 @@
-{{/* The name of everything in this release. */}}
+{{/* The name, or name prefix, of all objects of this release. */}}
 {{- define "relume.name" -}}
 {{- if contains "relume" .Release.Name }}{{ .Release.Name | trunc 50 | trimSuffix "-" }}{{ else }}{{ printf "%s-relume" .Release.Name | trunc 50 | trimSuffix "-" }}{{ end }}
 {{- end }}
 
-{{/* Labels by which pods are found; the component is added where they are used. */}}
+{{/* Labels that select pods; each use adds the component. */}}
 {{- define "relume.selector" -}}
 app.kubernetes.io/name: relume
 app.kubernetes.io/instance: {{ .Release.Name }}
@@ -20,7 +20,7 @@ helm.sh/chart: {{ .Chart.Name }}-{{ .Chart.Version }}
 {{ .Values.image.repository }}:{{ .Values.image.tag | default .Chart.AppVersion }}
 {{- end }}
 
-{{/* What every container of ours may do: the images run as user and group 10001. */}}
+{{/* Security contexts of all containers and pods. The images run as user and group 10001. */}}
 {{- define "relume.containerSecurity" -}}
 allowPrivilegeEscalation: false
 readOnlyRootFilesystem: true
@@ -36,14 +36,14 @@ fsGroupChangePolicy: OnRootMismatch
 seccompProfile: {type: RuntimeDefault}
 {{- end }}
 
-{{/* Resources with so many cards: (dict "resources" ... "gpus" N) */}}
+{{/* Resources with N GPUs: (dict "resources" ... "gpus" N) */}}
 {{- define "relume.resources" -}}
 {{- $resources := deepCopy (.resources | default dict) -}}
 {{- if .gpus }}{{ $_ := set $resources "limits" (merge (dict "nvidia.com/gpu" (.gpus | toString)) ($resources.limits | default dict)) }}{{ end -}}
 {{- toYaml $resources }}
 {{- end }}
 
-{{/* The pod of a worker; (dict "root" $ "once" true|false) */}}
+{{/* The pod of a worker: (dict "root" $ "once" true|false). With `once` the worker does one job and exits. */}}
 {{- define "relume.workerPod" -}}
 {{- $workers := .root.Values.workers -}}
 metadata:
@@ -83,7 +83,7 @@ spec:
         - {name: tmp, mountPath: /tmp}
   volumes:
     - name: cache
-      # A pod that takes more is evicted.
+      # Kubernetes evicts a pod that uses more.
       emptyDir: {sizeLimit: {{ add $workers.cacheGiB 10 }}Gi}
     - name: tmp
       emptyDir: {}

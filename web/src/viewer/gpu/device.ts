@@ -1,6 +1,6 @@
 import { STORAGE_BUFFERS } from './kernels'
 
-/** A device that can draw, or nothing where this browser or machine has none. */
+/** Opens a WebGPU device with the limits that the viewer needs, or returns undefined if there is none. */
 export async function openDevice(): Promise<GPUDevice | undefined> {
   const adapter = await navigator.gpu?.requestAdapter()
   if (!adapter || adapter.limits.maxStorageBuffersPerShaderStage < STORAGE_BUFFERS) return undefined

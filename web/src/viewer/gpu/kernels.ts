@@ -1,19 +1,19 @@
 import generated from '../shaders.json'
 
-/** The engine's shaders, as its build made them. */
+/** Names of the engine's shaders, which the engine's build writes to shaders.json. */
 export type KernelName = keyof typeof generated.shaders
 
-/** A struct that shaders read, by name. */
+/** Names of the uniform structs of the shaders. */
 export type StructName = 'Camera' | 'Layout' | 'Shading' | 'Tables' | 'Drawing' | 'Present'
 
 const { shaders, structs, codes } = generated
 
-/** Storage buffers that one stage of a shader reads or writes at most. */
+/** Maximum number of storage buffers in one shader stage. */
 export const STORAGE_BUFFERS = Math.max(
   ...Object.values(shaders).map(({ bindings }) => bindings.filter((kind) => kind.includes('storage')).length),
 )
 
-/** The number that stands for a form of the model, e.g. `NORMAL` `shortest_axis`. */
+/** The shader constant of a form of the model, e.g. `NORMAL` `shortest_axis`. */
 export function code(kind: string, form: string): number {
   const name = `${kind}_${form.toUpperCase()}`
   const found = (codes as Record<string, number | undefined>)[name]
@@ -21,12 +21,12 @@ export function code(kind: string, form: string): number {
   return found
 }
 
-/** Text of a shader for models of `coefficients` visibility coefficients. */
+/** Compiles a shader for models with `coefficients` visibility coefficients. */
 export function module(device: GPUDevice, name: KernelName, coefficients: number): GPUShaderModule {
   return device.createShaderModule({ label: name, code: `const S = ${coefficients}u;\n${shaders[name].source}` })
 }
 
-/** Layout of the bindings of a shader. */
+/** The bind group layout of a shader. */
 export function bindings(device: GPUDevice, name: KernelName, visibility: GPUShaderStageFlags): GPUBindGroupLayout {
   const entry = (kind: string, binding: number): GPUBindGroupLayoutEntry =>
     kind === 'texture'
@@ -35,7 +35,7 @@ export function bindings(device: GPUDevice, name: KernelName, visibility: GPUSha
   return device.createBindGroupLayout({ label: name, entries: shaders[name].bindings.map(entry) })
 }
 
-/** A struct in a uniform buffer. Members are set by name; `upload` brings them to the device where they changed. */
+/** A struct in a uniform buffer. Methods set members by name; `upload` writes them to the device if they have changed. */
 export class Uniform {
   readonly buffer: GPUBuffer
   readonly #device: GPUDevice

@@ -4,15 +4,15 @@ import { Uniform, code } from './kernels'
 import { BLENDED, type Pipelines, type Ready } from './pipelines'
 import type { SceneLight, SceneModel } from './scene'
 
-/** Side of a tile of the engine, pixels. */
+/** Width and height of a tile of the engine, pixels. */
 const TILE = 16
 /** Threads of a workgroup of every kernel. */
 const GROUP = 256
-/** Bytes of a splat and of a row of attributes of the engine. */
+/** Bytes of a splat and of an attribute row of the engine. */
 const SPLAT_BYTES = 64
 const ROW_BYTES = 64
 
-/** What each output blends (`drawing.what` of splats.wgsl), and how it is shown (`present.what` of present.wgsl). */
+/** For each output: the blended quantity (`drawing.what` of splats.wgsl) and the display mode (`present.what` of present.wgsl). */
 const OUTPUTS: Record<string, { blended: number; shown: number }> = {
   rgb: { blended: 0, shown: 0 },
   albedo: { blended: 1, shown: 1 },
@@ -20,18 +20,18 @@ const OUTPUTS: Record<string, { blended: number; shown: number }> = {
   roughness: { blended: 3, shown: 3 },
   metalness: { blended: 4, shown: 3 },
   depth: { blended: 5, shown: 4 },
-  // Of the normals, which are blended before.
+  // The painter blends the normals first and computes `ao` from them.
   ao: { blended: 2, shown: 5 },
 }
 
-/** How a picture is shown. */
+/** The display settings of a picture. */
 export interface Finish {
   output: string
   /** Stops. */
   exposure: number
-  /** Display-referred, 0 to 1; none: transparent. */
+  /** Display-referred colour, 0 to 1; undefined: transparent. */
   background: [number, number, number] | undefined
-  /** Whether the light stands behind the model. */
+  /** Whether the background is the environment map. */
   showsLight: boolean
 }
 
@@ -70,7 +70,7 @@ export class Painter {
     }
   }
 
-  /** Draws. Only what changed since the last picture is done again. */
+  /** Draws a picture. Repeats only the steps whose inputs have changed since the last picture. */
   paint(camera: Camera, light: SceneLight, finish: Finish): void {
     const output = OUTPUTS[finish.output] ?? OUTPUTS['rgb']!
     const count = Math.min(this.#model.count, light.count)
@@ -96,7 +96,7 @@ export class Painter {
 
   #setCamera({ width, height, focal, rotation, translation, centre }: Camera): void {
     const { low_pass, low_pass_compensation } = this.#model.header.shading
-    // Ratios x/z and y/z inside the projection's Jacobian (docs/MODEL.md section 2); the principal point is the middle.
+    // Limits of x/z and y/z in the Jacobian of the projection (docs/MODEL.md section 2). The principal point is the centre of the picture.
     const limits = [width, height].flatMap((size) => [-0.65 * size / focal, 0.65 * size / focal])
     this.#camera
       .floats('focal', focal, focal).floats('centre_px', width / 2, height / 2)
@@ -109,7 +109,7 @@ export class Painter {
 
   #setFinish({ centre }: Camera, light: SceneLight, { exposure, background, showsLight }: Finish, shown: number): void {
     const map = showsLight ? light.header.map : undefined
-    // The model fills the unit ball.
+    // The model lies in the unit ball.
     const distance = Math.hypot(...centre)
     this.#present
       .floats('background', ...(background ? [...background, 1] : [0, 0, 0, 0]))
@@ -161,7 +161,7 @@ export class Painter {
     pass.end()
   }
 
-  /** Normals first, then how open each Gaussian is towards those. */
+  /** Blends the normals, then the visibility of each Gaussian towards the blended normals. */
   #blendOcclusion(encoder: GPUCommandEncoder, target: GPUTexture, count: number): void {
     if (!this.#normals || !fits(this.#normals, target)) {
       this.#normals?.destroy()
@@ -217,7 +217,7 @@ function fits(texture: GPUTexture, { width, height }: Size): boolean {
   return texture.width === width && texture.height === height
 }
 
-/** As many workgroups, in two dimensions where one does not hold them. */
+/** A grid for `groups` workgroups; two-dimensional above the limit of one dimension. */
 function grid(groups: number): [number, number] {
   const most = 65535
   return groups <= most ? [groups, 1] : [most, Math.ceil(groups / most)]

@@ -1,21 +1,21 @@
 import { bindings, module, type KernelName } from './kernels'
 
-/** What is blended until it is shown: linear light times coverage, and the transmittance that is left. */
+/** Format of the blended picture: linear light times coverage in rgb, the remaining transmittance in alpha. */
 export const BLENDED: GPUTextureFormat = 'rgba16float'
 
-/** Blending front to back: alpha of the target is the transmittance so far. */
+/** Front-to-back blending: the alpha of the target is the transmittance so far. */
 const FRONT_TO_BACK: GPUBlendState = {
   color: { srcFactor: 'dst-alpha', dstFactor: 'one', operation: 'add' },
   alpha: { srcFactor: 'zero', dstFactor: 'one-minus-src-alpha', operation: 'add' },
 }
 
-/** A shader that is ready, with the layout of what it reads and writes. */
+/** A compiled pipeline and its bind group layout. */
 export interface Ready<Pipeline> {
   pipeline: Pipeline
   layout: GPUBindGroupLayout
 }
 
-/** All shaders, for models of some number of visibility coefficients. */
+/** All pipelines, for models with a given number of visibility coefficients. */
 export interface Pipelines {
   project: Ready<GPUComputePipeline>
   attributes: Ready<GPUComputePipeline>

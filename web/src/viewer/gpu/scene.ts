@@ -1,15 +1,15 @@
 import type { LightHeader, ModelHeader, Sink } from '../stream'
 import { Uniform, code } from './kernels'
 
-/** Widths of the engine's parameters that a stream fills, by their names in `Layout`; visibility has the model's. */
+/** Components of the engine's parameters that a stream fills, by their names in `Layout`. The model defines those of visibility. */
 const PARAMETERS = {
   mean: 3, log_scale: 3, quaternion: 4, opacity: 1, normal: 3, metal: 1, rough: 1, sheen: 1, residual: 3, visibility: 0,
 } as const
 
-/** What the engine calls a field of the stream: without prototypes the residual is the albedo. */
+/** The engine's names of stream fields: without prototypes the engine's residual is the albedo. */
 const NAMES: Record<string, string> = { albedo: 'residual' }
 
-/** Lights beside the tables. */
+/** Maximum number of lights in addition to the tables. */
 const MOST_LIGHTS = 4
 
 function storage(device: GPUDevice, label: string, floats: number): GPUBuffer {
@@ -21,7 +21,7 @@ function write(device: GPUDevice, buffer: GPUBuffer, first: number, values: Floa
   device.queue.writeBuffer(buffer, 4 * first, values as Float32Array<ArrayBuffer>)
 }
 
-/** A model in the memory of the device, as far as it has come. */
+/** A model in device memory, as far as it has arrived. */
 export class SceneModel implements Sink<ModelHeader> {
   readonly #device: GPUDevice
   readonly #arrived: () => void
@@ -32,7 +32,7 @@ export class SceneModel implements Sink<ModelHeader> {
   params!: GPUBuffer
   means = new Float32Array(0)
   coefficients = 1
-  /** Gaussians that have come. */
+  /** Gaussians that have arrived. */
   count = 0
 
   constructor(device: GPUDevice, arrived: () => void) {
@@ -61,7 +61,7 @@ export class SceneModel implements Sink<ModelHeader> {
     this.params = storage(this.#device, 'Gaussians', next)
     this.means = new Float32Array(3 * this.total)
     const forms = { visibility: code('VISIBILITY', shading.visibility), diffuse: code('DIFFUSE', shading.diffuse) }
-    // Radiance as photographed is not shown: any three floats a Gaussian stand for it, those of the means.
+    // The viewer does not show the radiance of the photographs, but the layout needs an offset with three floats per Gaussian: use the means.
     this.layout
       .integers('n', this.total).integers('n_scores', 0).integers('n_visibility', this.coefficients).integers('n_radiance', 1)
       .integers('radiance', 0).integers('normal_form', code('NORMAL', shading.normal))
@@ -92,7 +92,7 @@ export class SceneModel implements Sink<ModelHeader> {
   }
 }
 
-/** A light in the memory of the device, as far as it has come. */
+/** A light in device memory, as far as it has arrived. */
 export class SceneLight implements Sink<LightHeader> {
   readonly #device: GPUDevice
   readonly #arrived: () => void
@@ -100,7 +100,7 @@ export class SceneLight implements Sink<LightHeader> {
   header!: LightHeader
   reflectance!: GPUBuffer
   values!: GPUBuffer
-  /** What is gathered at all Gaussians, then the shares of lights that arrive. */
+  /** The gathered light of all Gaussians, then the arriving fraction of each light. */
   gathered!: GPUBuffer
   map!: GPUBuffer
   count = 0
@@ -126,7 +126,7 @@ export class SceneLight implements Sink<LightHeader> {
     this.#describe(header)
   }
 
-  /** Where the tables lie: diffuse transfer, levels, irradiance of the lights. */
+  /** Sets the offsets of the tables: diffuse transfer, specular levels, irradiance of the lights. */
   #describe({ diffuse_nodes, coefficients, specular_nodes, lights }: LightHeader): void {
     let next = 6 * diffuse_nodes ** 2 * 3 * coefficients
     const first = specular_nodes.map((nodes) => {
