@@ -20,7 +20,7 @@ use crate::server::signing_secret::SigningSecret;
 use crate::server::thumbnail_cache::ThumbnailCache;
 use crate::server::webhooks::WebhookPolicy;
 use crate::store::{Store, UploadLimits};
-use crate::worker::DeviceHandle;
+use crate::worker::{DecodedMaps, DeviceHandle};
 use relume_capture::ImportLimits;
 
 /// The state that handlers share.
@@ -69,6 +69,8 @@ pub(super) struct App {
     pub(super) thumbnail_locks: KeyedLocks,
     /// Opened captures, for their photographs.
     pub(super) opened: OpenedCaptures,
+    /// Decoded environment maps.
+    pub(super) maps: DecodedMaps,
     /// The pose estimation of photographs without poses.
     pub(super) poses: PoseQueue,
     /// Threads that encode frames.

@@ -3,10 +3,9 @@
 use tokio::task::JoinHandle;
 
 use crate::server::app::AppState;
-use crate::server::exports;
 use crate::server::garbage_collector::GarbageCollector;
-use crate::server::validation;
 use crate::server::webhooks::WebhookDispatcher;
+use crate::server::{capture_creation, exports};
 use crate::store::Retention;
 
 /// Tasks that end when the server stops.
@@ -45,7 +44,7 @@ impl BackgroundTasks {
 /// Continues the validations that a terminated server had begun.
 async fn resume(app: AppState) {
     app.poses.log_availability().await;
-    if let Err(error) = validation::resume(app).await {
+    if let Err(error) = capture_creation::resume(app).await {
         tracing::error!(%error, "cannot resume the validation of captures; the next start resumes it");
     }
 }

@@ -9,21 +9,19 @@ use utoipa_axum::routes;
 
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
+use crate::server::capture_creation::{self, AsyncOutcome, CaptureLookup};
 use crate::server::description::{ArchiveForm, File};
 use crate::server::extract::{JsonBody, NoQuery, QueryString, UrlPath, media_type};
-use crate::server::fetching;
 use crate::server::file_body::{self, AcceptedBody};
 use crate::server::listing::rfc3339;
 use crate::server::metadata::{self, FilteredPageQuery, MetadataQuery};
-use crate::server::poses;
 use crate::server::problem::Problem;
-use crate::server::uploads;
-use crate::server::validation::{self, AsyncOutcome};
+use crate::server::{fetching, poses, uploads};
 use crate::store::{CaptureRecord, StagedUpload};
 use relume_api::captures::{CaptureState, CaptureSummary};
-use relume_api::metadata::{MetadataChange, ResourceMetadata};
+use relume_api::metadata::MetadataChange;
 use relume_api::uploads::CaptureSource;
-use relume_api::{CaptureId, List, ResourceKind, ResourceName, TenantId};
+use relume_api::{CaptureId, List, ResourceKind, TenantId};
 use relume_spec::CaptureReport;
 
 /// The routes of this file that accept no archives.
@@ -87,10 +85,10 @@ async fn upload_capture(
     request: Request,
 ) -> Result<Response, Problem> {
     let metadata = query.metadata()?;
-    let later = validation::prefers_async(request.headers());
+    let later = capture_creation::prefers_async(request.headers());
     let mut incoming = receive(&app, &caller, request).await?;
     loop {
-        incoming = match look_up(&app, &caller.tenant, incoming, &metadata).await? {
+        incoming = match capture_creation::look_up(&app, &caller.tenant, incoming, &metadata).await? {
             CaptureLookup::Existing(capture) => return Ok(Json(view(*capture)).into_response()),
             CaptureLookup::New(incoming) => *incoming,
         };
@@ -99,57 +97,16 @@ async fn upload_capture(
         if !later && !finds_poses {
             break;
         }
-        let how = validation::AsyncOptions { was_preferred: later, finds_poses };
-        match validation::begin(&app, &caller, incoming, metadata.clone(), how).await? {
+        let how = capture_creation::AsyncOptions { was_preferred: later, finds_poses };
+        match capture_creation::begin(&app, &caller, incoming, metadata.clone(), how).await? {
             AsyncOutcome::Answered(answer) => return Ok(answer),
             AsyncOutcome::Made(given_back) => incoming = *given_back,
         }
     }
-    let stored = validation::make(&app, &caller.tenant, app.jobs.fresh_id(), incoming, metadata).await?;
+    let stored =
+        capture_creation::create(&app, &caller.tenant, app.jobs.fresh_id(), incoming, metadata).await?;
     let location = format!("/v1/captures/{}", stored.id);
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], Json(view(stored))).into_response())
-}
-
-/// Whether a capture with some content exists.
-enum CaptureLookup {
-    Existing(Box<CaptureRecord>),
-    New(Box<StagedUpload>),
-}
-
-/// The capture of a tenant with this content or made of it, with the given metadata.
-async fn look_up(
-    app: &AppState,
-    tenant: &TenantId,
-    mut incoming: StagedUpload,
-    metadata: &ResourceMetadata,
-) -> Result<CaptureLookup, Problem> {
-    if let Some(same) = app.store.capture_by_hash(tenant, &incoming.sha256).await? {
-        // This comes before the upload is finalised, so that invalid metadata leave the upload unchanged.
-        let same = with_metadata(app, tenant, same, metadata.clone()).await?;
-        match app.store.repair_artifact(incoming, &same.artifact).await? {
-            None => return Ok(CaptureLookup::Existing(Box::new(same))),
-            // The capture was deleted in the meantime.
-            Some(given_back) => incoming = given_back,
-        }
-    }
-    if let Some(same) = app.store.capture_made_of(tenant, &incoming.sha256).await? {
-        let same = with_metadata(app, tenant, same, metadata.clone()).await?;
-        app.store.discard_duplicate(incoming).await?;
-        return Ok(CaptureLookup::Existing(Box::new(same)));
-    }
-    Ok(CaptureLookup::New(Box::new(incoming)))
-}
-
-/// An existing capture, after its metadata are changed to those of the request.
-async fn with_metadata(
-    app: &AppState,
-    tenant: &TenantId,
-    mut capture: CaptureRecord,
-    given: ResourceMetadata,
-) -> Result<CaptureRecord, Problem> {
-    let what = ResourceName::new(ResourceKind::Capture, capture.id.to_string());
-    capture.metadata = metadata::apply_metadata(app, tenant, what, given, capture.metadata).await?;
-    Ok(capture)
 }
 
 /// Validate a capture without storing it
@@ -174,7 +131,7 @@ async fn validate_capture(
     request: Request,
 ) -> Result<Json<CaptureReport>, Problem> {
     let incoming = receive(&app, &caller, request).await?;
-    Ok(Json(validation::validate(&app, &incoming).await?))
+    Ok(Json(capture_creation::validate(&app, &incoming).await?))
 }
 
 /// List captures
@@ -216,7 +173,7 @@ async fn find(app: &AppState, tenant: &TenantId, id: &CaptureId) -> Result<Captu
     let upload = app.store.upload_of_capture(tenant, id).await?;
     match (app.store.capture(tenant, id).await?, upload) {
         (Some(record), _) => Ok(view(record)),
-        (None, Some(upload)) => Ok(validation::view(app, &upload)),
+        (None, Some(upload)) => Ok(capture_creation::view(app, &upload)),
         (None, None) => Err(Problem::not_found("capture", id.as_str())),
     }
 }

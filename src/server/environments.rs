@@ -179,9 +179,15 @@ async fn validate(app: &AppState, incoming: &StagedUpload) -> Result<(i64, i64, 
     let needed = environment::decoding_bytes(&head).map_err(refused)?;
     let _memory = app.memory.reserve(needed.saturating_add(incoming.bytes)).await?;
     let bytes = tokio::fs::read(&incoming.path).await.map_err(Problem::storage_failed)?;
-    let decoded = app.decoders.run(move || environment::decode(&bytes)).await?;
-    let LoadedEnvironment { map, warnings } = decoded.map_err(refused)?;
-    Ok((map.width() as i64, map.height() as i64, warnings))
+    let (maps, sha256) = (app.maps.clone(), incoming.sha256.clone());
+    let decode = move || {
+        let LoadedEnvironment { map, warnings } = environment::decode(&bytes)?;
+        let (width, height) = (map.width() as i64, map.height() as i64);
+        // A map is often rendered soon after its upload.
+        maps.put(&sha256, map);
+        Ok((width, height, warnings))
+    };
+    app.decoders.run(decode).await?.map_err(refused)
 }
 
 /// Decodes a map from a request, with a permit for the memory.

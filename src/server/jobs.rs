@@ -15,7 +15,7 @@ use crate::server::caller::Caller;
 use crate::server::extract::{JsonBody, QueryString, UrlPath};
 use crate::server::listing::PageQuery;
 use crate::server::problem::Problem;
-use crate::server::{idempotency, job_bounds, metadata, quality_gate, telemetry, validation};
+use crate::server::{capture_creation, idempotency, job_bounds, metadata, quality_gate, telemetry};
 use crate::store::{CancelOutcome, IdempotencyKey, JobRecord, Submitted};
 use relume_api::jobs::{JobChange, JobDevice, JobState, JobView, NewJob};
 use relume_api::keys::Scope;
@@ -105,7 +105,7 @@ async fn create_job(
     }
     job_bounds::check(&config, on_gpu(&app, job.device).await?)?;
     let Some(capture) = app.store.capture(&caller.tenant, &job.capture).await? else {
-        return Err(validation::unavailable_reason(&app, &caller, &job.capture).await?);
+        return Err(capture_creation::unavailable_reason(&app, &caller, &job.capture).await?);
     };
     quality_gate::check(&job.quality_gate, &capture.report, &config)?;
     if let Some(light) = &config.light {
@@ -320,8 +320,11 @@ fn check_priority(caller: &Caller, priority: i64) -> Result<(), Problem> {
     if priority > 0 { caller.require_scope(Scope::Priority) } else { Ok(()) }
 }
 
-/// The messages of the trainer begin with the name of the field.
+/// The problem of an invalid override. Its pointer names the setting, within its group if it has one.
 fn override_refused(error: &ConfigError) -> Problem {
-    let setting = error.field.split('.').next().unwrap_or_default();
-    Problem::invalid_field(format!("/overrides/{setting}"), error.to_string())
+    // The rest may be the name of a photograph, which contains dots.
+    let (first, rest) = error.field.split_once('.').map_or((&*error.field, None), |(a, b)| (a, Some(b)));
+    let rest = rest.map(|rest| format!("/{}", rest.replace('~', "~0").replace('/', "~1")));
+    let pointer = format!("/overrides/{first}{}", rest.unwrap_or_default());
+    Problem::invalid_field(pointer, error.to_string())
 }

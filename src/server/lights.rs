@@ -71,7 +71,7 @@ async fn stored_light(
         sound => sound?,
     }
     let path = app.store.artifacts().local_path(&record.artifact);
-    Ok(Some(LightSource::Stored { path, sha256: record.sha256 }))
+    Ok(Some(LightSource::Stored { path, sha256: record.sha256, maps: app.maps.clone() }))
 }
 
 /// A built-in map or the recovered light.

@@ -18,11 +18,9 @@ use crate::server::access::{self, AccessControl};
 use crate::server::app::AppState;
 use crate::server::origins::{self, CorsOrigin};
 use crate::server::problem::Problem;
-use crate::server::replica;
 use crate::server::same_site::{self, TrustedHosts};
-use crate::server::telemetry;
 use crate::server::tenant_slots::{self, TenantSlots};
-use crate::server::uploads;
+use crate::server::{replica, telemetry, uploads};
 
 /// The content security policy of the API, whose answers may load, run and frame nothing. Pages have their own policy.
 const NOT_A_PAGE: &str = "default-src 'none'; frame-ancestors 'none'";

@@ -9,6 +9,7 @@ mod auth;
 mod background_tasks;
 mod caller;
 mod cameras;
+mod capture_creation;
 mod captures;
 mod connections;
 mod decoders;
@@ -64,7 +65,6 @@ mod thumbnail_cache;
 mod thumbnails;
 mod uploads;
 mod usage;
-mod validation;
 mod viewer;
 #[cfg(feature = "web")]
 mod web;

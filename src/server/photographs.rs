@@ -25,8 +25,7 @@ use relume_api::CaptureId;
 use relume_api::photographs::{CapturePhotographs, CapturedPhotograph};
 use relume_capture::formats::image_file;
 use relume_capture::{CaptureError, CapturePhotos, PictureOptions};
-use relume_scene::ImageRgba;
-use relume_scene::srgb;
+use relume_scene::{ImageRgba, srgb};
 
 /// Permitted widths, pixels.
 const WIDTHS: std::ops::RangeInclusive<u32> = 16..=4096;

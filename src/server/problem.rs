@@ -286,13 +286,16 @@ impl From<RenderFailure> for Problem {
     fn from(failure: RenderFailure) -> Self {
         match failure {
             RenderFailure::Busy | RenderFailure::Abandoned => {
-                Self::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "The device is busy").retry_after(1)
+                Self::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "The device is busy")
+                    .detail("other frames are rendered first; retry after a second")
+                    .retry_after(1)
             }
             RenderFailure::Gone { what, id } => Self::not_found(what, &id),
             RenderFailure::Refused { field, reason } => Self::invalid_field(format!("/{field}"), reason),
             RenderFailure::Device(error) => {
                 tracing::error!(%error, "the device failed during a render");
                 Self::new(StatusCode::SERVICE_UNAVAILABLE, "device-failed", "The device failed")
+                    .detail("the server opens the device again; retry after some seconds")
                     .retry_after(5)
             }
             RenderFailure::Internal(cause) => Self::internal(cause),

@@ -40,7 +40,7 @@ use crate::store::{
     DataDirLock, DatabaseUrl, ObjectStoreConfig, Quota, Retention, ServerLock, Store, StoreError,
     UploadLimits, has_keys,
 };
-use crate::worker::{DeviceHandle, WorkerOptions};
+use crate::worker::{DecodedMaps, DeviceHandle, WorkerOptions};
 use relume_engine::DeviceError;
 
 /// Interval of maintenance: expired leases, metrics, disk space.
@@ -308,6 +308,7 @@ fn service(
         memory: MemoryBudget::new(config.limits.memory_bytes),
         thumbnail_locks: KeyedLocks::default(),
         opened: OpenedCaptures::default(),
+        maps: DecodedMaps::default(),
         poses: PoseQueue::new(config.poses.clone()),
         encoders: Encoders::new(),
         decoders: Decoders::start(config.limits.memory_bytes)?,

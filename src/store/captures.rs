@@ -3,8 +3,7 @@
 use sqlx::types::Json;
 
 use crate::store::metadata::{change_metadata_in_tx, filtered, listed};
-use crate::store::sql;
-use crate::store::{CaptureRecord, Filter, Page, Store, StoreError};
+use crate::store::{CaptureRecord, Filter, Page, Store, StoreError, sql};
 use relume_api::metadata::ResourceMetadata;
 use relume_api::{CaptureId, ResourceKind, ResourceName, TenantId, UploadId};
 
@@ -85,35 +84,20 @@ impl Store {
         Ok(query.fetch_optional(self.pool()).await?)
     }
 
-    /// A capture of a tenant by the hash of its content.
+    /// The capture of a tenant with this content, else the newest one that was made of it: of photographs without poses.
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn capture_by_hash(
-        &self,
-        tenant: &TenantId,
-        sha256: &str,
-    ) -> Result<Option<CaptureRecord>, StoreError> {
-        let query = sql::query_as("SELECT * FROM captures WHERE sha256 = $1 AND tenant = $2")
-            .bind(sha256)
-            .bind(tenant);
-        Ok(query.fetch_optional(self.pool()).await?)
-    }
-
-    /// A capture of a tenant by the hash of its source photographs without poses.
-    ///
-    /// # Errors
-    /// When the database fails.
-    pub async fn capture_made_of(
+    pub async fn capture_of_content(
         &self,
         tenant: &TenantId,
         sha256: &str,
     ) -> Result<Option<CaptureRecord>, StoreError> {
         let query = sql::query_as(
-            "SELECT * FROM captures WHERE made_of = $1 AND tenant = $2 AND deleted_ms IS NULL
-             ORDER BY created_ms DESC, id DESC LIMIT 1",
+            "SELECT * FROM captures WHERE tenant = $1 AND (sha256 = $2 OR made_of = $2) AND deleted_ms IS NULL
+             ORDER BY CASE sha256 WHEN $2 THEN 0 ELSE 1 END, created_ms DESC, id DESC LIMIT 1",
         );
-        Ok(query.bind(sha256).bind(tenant).fetch_optional(self.pool()).await?)
+        Ok(query.bind(tenant).bind(sha256).fetch_optional(self.pool()).await?)
     }
 
     /// Captures of a tenant that match the filter, newest first.

@@ -5,8 +5,7 @@ use std::collections::HashSet;
 
 use crate::store::artifacts::is_key;
 use crate::store::orphan_cleanup::prune;
-use crate::store::sql;
-use crate::store::{Store, StoreError};
+use crate::store::{Store, StoreError, sql};
 
 /// Result of a garbage collection of deleted resources.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

@@ -3,8 +3,7 @@
 use sqlx::types::Json;
 
 use crate::store::metadata::{change_metadata_in_tx, filtered, listed};
-use crate::store::sql;
-use crate::store::{EnvironmentRecord, Filter, Page, Store, StoreError};
+use crate::store::{EnvironmentRecord, Filter, Page, Store, StoreError, sql};
 use relume_api::{EnvironmentId, ResourceKind, ResourceName, TenantId};
 
 impl Store {

@@ -6,8 +6,7 @@ use std::path::Path;
 use sqlx::types::Json;
 
 use crate::store::database::{self, DatabaseFile, DatabaseServer, DatabaseUrl};
-use crate::store::sql;
-use crate::store::{KeyRecord, KeyToken, Page, Store, StoreError};
+use crate::store::{KeyRecord, KeyToken, Page, Store, StoreError, sql};
 use relume_api::keys::Scope;
 use relume_api::{KeyId, TenantId};
 

@@ -3,8 +3,7 @@
 use std::collections::HashSet;
 
 use crate::store::metadata::{filtered, listed};
-use crate::store::sql;
-use crate::store::{Filter, ModelFile, ModelRecord, Page, Store, StoreError};
+use crate::store::{Filter, ModelFile, ModelRecord, Page, Store, StoreError, sql};
 use relume_api::{ModelId, TenantId};
 
 impl Store {

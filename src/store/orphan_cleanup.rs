@@ -7,9 +7,8 @@ use std::time::{Duration, SystemTime};
 
 use crate::store::exports::EXPORTS;
 use crate::store::references::{artifact_keys, references};
-use crate::store::sql;
 use crate::store::uploads::UPLOADS;
-use crate::store::{Store, StoreError};
+use crate::store::{Store, StoreError, sql};
 
 /// The folder of orphans that the database does not know.
 pub(super) const ORPHANS: &str = "orphans";

@@ -1,7 +1,6 @@
 //! Publication of uploads: moves the file and writes the row under one lock, so that no garbage collection runs in between.
 
-use crate::store::sql;
-use crate::store::{CaptureRecord, EnvironmentRecord, StagedUpload, Store, StoreError, UploadLock};
+use crate::store::{CaptureRecord, EnvironmentRecord, StagedUpload, Store, StoreError, UploadLock, sql};
 use relume_api::TenantId;
 
 impl Store {

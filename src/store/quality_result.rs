@@ -2,8 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::store::sql;
-use crate::store::{Store, StoreError};
+use crate::store::{Store, StoreError, sql};
 use relume_api::jobs::JobState;
 use relume_api::quality::{Figures, MissedFigure, QualityGate};
 use relume_api::{JobId, ModelId};

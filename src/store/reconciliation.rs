@@ -8,8 +8,7 @@ use crate::store::artifacts::Remote;
 use crate::store::exports::EXPORTS;
 use crate::store::orphan_cleanup::{ORPHAN_RETENTION, ORPHANS};
 use crate::store::references::{is_artifact_name, references};
-use crate::store::sql;
-use crate::store::{Store, StoreError};
+use crate::store::{Store, StoreError, sql};
 
 /// Minimum age of an unreferenced object before it is removed.
 const MIN_ORPHAN_AGE: Duration = Duration::from_secs(24 * 3600);

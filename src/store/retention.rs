@@ -2,8 +2,7 @@
 
 use std::time::Duration;
 
-use crate::store::sql;
-use crate::store::{Deletion, Store, StoreError};
+use crate::store::{Deletion, Store, StoreError, sql};
 use relume_api::{ResourceKind, ResourceName, TenantId};
 
 /// The retention of resources. Resources without a retention, or with the label `keep:true`, are kept until they are deleted.

@@ -5,8 +5,7 @@ use std::path::Path;
 use std::sync::atomic::Ordering;
 
 use crate::store::references::references;
-use crate::store::sql;
-use crate::store::{Store, StoreError};
+use crate::store::{Store, StoreError, sql};
 use relume_api::TenantId;
 use relume_api::usage::{StoredKind, Usage};
 

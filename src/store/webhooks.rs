@@ -4,8 +4,7 @@ use sqlx::FromRow;
 use sqlx::types::Json;
 
 use crate::store::page::paginated;
-use crate::store::sql;
-use crate::store::{Page, Store, StoreError};
+use crate::store::{Page, Store, StoreError, sql};
 use relume_api::webhooks::{WebhookChange, WebhookEvent};
 use relume_api::{KeyId, TenantId, WebhookId};
 

@@ -27,6 +27,8 @@ pub use job_source::{ClaimOutcome, JobSource, JobSourceError};
 pub use local_jobs::LocalJobs;
 pub use opened_device::OpenedDevice;
 pub use previews::Preview;
-pub use renders::{LightSource, LightTask, ModelContent, ModelSource, RenderFailure, RenderTask};
+pub use renders::{
+    DecodedMaps, LightSource, LightTask, ModelContent, ModelSource, RenderFailure, RenderTask,
+};
 pub use start::{TrainingOptions, WorkerOptions, start, start_training};
 pub use thread::JobOutcome;

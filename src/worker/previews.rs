@@ -89,22 +89,10 @@ impl Drop for PreviewPublisher {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use relume_scene::{Gaussians, ShadingOptions};
+    use relume_scene::Gaussians;
 
     fn preview(step: u32) -> Preview {
-        let model = Model {
-            gaussians: Gaussians::zeroed(1, 1, 0, 0),
-            prototypes: vec![[0.5; 3]],
-            env_raw: vec![[0.0; 3]; 2],
-            env_width: 2,
-            env_height: 1,
-            lights: Default::default(),
-            shading: ShadingOptions::default(),
-            world_scale: 1.0,
-            world_offset: glam::DVec3::ZERO,
-            framing: None,
-            card: serde_json::Value::Null,
-        };
+        let model = Model::new(Gaussians::zeroed(1, 1, 0, 0), vec![[0.5; 3]], vec![[0.0; 3]; 2], (2, 1));
         Preview { step, model: Arc::new(model), is_relightable: false }
     }
 

@@ -1,4 +1,4 @@
-//! Tenants: the whole description of the API, asked by somebody else.
+//! Tenants: every operation of the API description, requested by another tenant.
 
 mod operations;
 
@@ -24,7 +24,7 @@ use operations::operations;
 
 const OPERATOR: &str = "the-operators-own-key";
 
-/// A tenant with one thing of each kind.
+/// A tenant with one resource of each kind.
 struct Tenant {
     client: Client,
     capture: CaptureId,
@@ -41,7 +41,7 @@ struct Tenant {
 impl Tenant {
     async fn new(server: &TestServer, name: &str) -> Self {
         let client = bearer(server, name, &ALL_OF_A_TENANT).await.0;
-        // Nobody listens there.
+        // No server listens there.
         let webhook = client.create_webhook(&for_all("http://127.0.0.1:1/")).await.unwrap().webhook.id;
         let job = trained(&client).await;
         let delivery = client.deliveries(&webhook).await.unwrap().items.remove(0).id;
@@ -81,7 +81,7 @@ async fn server() -> TestServer {
     testing::spawn_with(TempDir::new().unwrap(), change).await.unwrap()
 }
 
-/// A client with a fresh key, and the key's identifier.
+/// A client with a new key, and the key's identifier.
 async fn bearer(server: &TestServer, tenant: &str, scopes: &[Scope]) -> (Client, String) {
     let request = server.client().request(Method::POST, "/v1/keys").unwrap().bearer_auth(OPERATOR);
     let key = json!({ "name": "test", "tenant": tenant, "scopes": scopes });
@@ -90,7 +90,7 @@ async fn bearer(server: &TestServer, tenant: &str, scopes: &[Scope]) -> (Client,
     (client.unwrap(), made["id"].as_str().unwrap().to_owned())
 }
 
-/// An identifier that never was.
+/// An identifier that never existed.
 fn never(kind: Kind) -> &'static str {
     match kind {
         Key => "0123456789abcdef",
@@ -99,7 +99,7 @@ fn never(kind: Kind) -> &'static str {
     }
 }
 
-/// Asks for an operation about the thing `id`.
+/// Requests an operation on the resource `id`.
 fn ask(client: &Client, method: &str, path: &str, id: &str) -> RequestBuilder {
     let filled = path
         .replace("{id}/deliveries/{delivery}", id)
@@ -128,7 +128,7 @@ fn ask(client: &Client, method: &str, path: &str, id: &str) -> RequestBuilder {
     }
 }
 
-/// Status, text and, where it is that, JSON of an answer.
+/// Status, text and, if it is JSON, the value of an answer.
 async fn read(request: RequestBuilder) -> (u16, String, Value) {
     let answer = request.send().await.unwrap();
     let status = answer.status().as_u16();
@@ -138,7 +138,7 @@ async fn read(request: RequestBuilder) -> (u16, String, Value) {
     (status, text, json)
 }
 
-/// An answer without what differs between any two requests: the request's identifier and the one asked for.
+/// An answer without the parts that always differ: the request's identifier and the requested one.
 async fn refusal(request: RequestBuilder, id: &str) -> (u16, Value) {
     let (status, text, _) = read(request).await;
     let mut body: Value = serde_json::from_str(&text.replace(id, "ID")).unwrap_or_default();
@@ -173,7 +173,7 @@ async fn no_operation_reveals_resources_of_another_tenant() {
                 assert!(!listed.1.contains(a.id(*kind)), "{method} {path}: {listed:?}");
                 let own = read(ask(&a.client, method, path, "")).await.1;
                 assert!(own.contains(a.id(*kind)), "{method} {path} of one's own: {own}");
-                // A place in another's list is no place.
+                // An item of another tenant's list is not a valid cursor.
                 let place = |id: &str| b.0.request(Method::GET, &format!("{path}?before={id}")).unwrap();
                 let (theirs, nobodys) = (a.id(*kind), never(*kind));
                 let found = refusal(place(theirs), theirs).await;
@@ -275,7 +275,7 @@ async fn equal_content_of_two_tenants_is_stored_once() {
     let stored = files_under(server.data_dir());
     assert_eq!(stored.iter().filter(|(name, _)| name.contains(&first.sha256)).count(), 1, "{stored:?}");
 
-    // Whatever one tenant calls its requests, another may call its own so, too.
+    // Two tenants can use the same idempotency key.
     let second = CaptureId::from(second["id"].as_str().unwrap());
     let mut jobs = BTreeSet::new();
     for (client, capture) in [(&a, &first.id), (&b, &second)] {
@@ -292,7 +292,7 @@ async fn every_operation_refuses_a_key_without_its_scope() {
     let server = server().await;
     let mut few = Vec::new();
     for scope in Scope::ALL {
-        // Administrators of the operator's tenant read metrics and may work, too.
+        // Administrators of the operator's tenant can also read metrics and work.
         let does_more = |other: &Scope| [Metrics, Work].contains(&scope) && *other == Admin;
         let others: Vec<Scope> =
             Scope::ALL.into_iter().filter(|other| *other != scope && !does_more(other)).collect();
@@ -323,7 +323,7 @@ async fn every_operation_refuses_a_key_without_its_scope() {
     }
 }
 
-/// A database of the version before tenants, with a job that made a model.
+/// A database of the version before tenants, with a job and its model.
 async fn former_database(data: &TempDir) {
     let former = TempDir::new().unwrap();
     let migrations = concat!(env!("CARGO_MANIFEST_DIR"), "/migrations/sqlite");
@@ -358,7 +358,7 @@ async fn data_from_before_tenants_belongs_to_the_default_tenant() {
     for (tenant, expected) in [(TenantId::of_operator(), true), (TenantId::from("a"), false)] {
         let page = Page { limit: 9, before: None };
         assert_eq!(store.capture(&tenant, &"c".into()).await.unwrap().is_some(), expected);
-        assert_eq!(store.capture_by_hash(&tenant, "cc").await.unwrap().is_some(), expected);
+        assert_eq!(store.capture_of_content(&tenant, "cc").await.unwrap().is_some(), expected);
         assert_eq!(store.environment(&tenant, &"e".into()).await.unwrap().is_some(), expected);
         assert_eq!(store.job(&tenant, &"j".into()).await.unwrap().is_some(), expected);
         assert_eq!(store.events_after(&tenant, &"j".into(), 0).await.unwrap().len(), usize::from(expected));
@@ -374,7 +374,7 @@ async fn data_from_before_tenants_belongs_to_the_default_tenant() {
     let pool = sqlx::SqlitePool::connect(&url).await.unwrap();
     let dangling = sqlx::query("PRAGMA foreign_key_check").fetch_all(&pool).await.unwrap();
     assert!(dangling.is_empty());
-    // References still hold.
+    // Foreign keys are still enforced.
     let capture = sqlx::query("DELETE FROM captures").execute(&pool).await.unwrap_err();
     assert!(capture.to_string().contains("FOREIGN KEY"), "{capture}");
     let keys: i64 = sqlx::query_scalar("SELECT COUNT(*) FROM idempotency WHERE tenant = 'default'")

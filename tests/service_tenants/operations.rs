@@ -1,21 +1,21 @@
-//! Every operation of the API, what it is about and who may ask.
+//! Every operation of the API, with its subject and its scope.
 
 use relume_api::keys::Scope;
 
-/// What an operation names or answers with.
+/// The resources that an operation is about.
 #[derive(Clone, Copy, PartialEq)]
 pub enum About {
-    /// Nothing of a tenant, and everybody may ask.
+    /// No resource of a tenant; no key is needed.
     Everybody,
-    /// The whole server, for whoever runs it.
+    /// The whole server, for the operator.
     Server,
-    /// A list of one kind of thing.
+    /// A list of one kind of resource.
     List(Kind),
-    /// One thing that the path names.
+    /// The resource in the path.
     One(Kind),
-    /// How much there is.
+    /// The storage use.
     Counts,
-    /// What the request brings.
+    /// The body of the request.
     Body,
 }
 
@@ -29,7 +29,7 @@ pub enum Kind {
     Key,
     Upload,
     Webhook,
-    /// A message to a webhook; its identifier is that of both, as in a path.
+    /// A delivery to a webhook; its identifier consists of both, as in a path.
     Delivery,
 }
 
@@ -37,7 +37,7 @@ use About::{Body, Counts, Everybody, List, One, Server};
 use Kind::{Capture, Delivery, Environment, Export, Job, Key, Model, Upload, Webhook};
 use Scope::{Admin, Metrics, Read, Render, Submit, Work};
 
-/// Every operation: what it is about, and the scope that it needs.
+/// Every operation, with its subject and the scope that it needs.
 const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("get", "/healthz", Everybody, Read),
     ("get", "/readyz", Everybody, Read),
@@ -120,7 +120,7 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("put", "/v1/work/{job}/files/{name}", Server, Work),
 ];
 
-/// The operations of the description, each with what is known about it.
+/// The operations of the description, each with its entry in the table.
 pub fn operations() -> Vec<&'static (&'static str, &'static str, About, Scope)> {
     let description = serde_json::to_value(relume::server::openapi()).unwrap();
     let mut found = Vec::new();

@@ -11,7 +11,7 @@ use crate::worker::{LightSource, ModelContent, ModelSource};
 use relume_api::exports::{ExportKind, MeshExport, SplatsExport};
 use relume_api::renders::EnvironmentSpec;
 use relume_capture::formats::model_file;
-use relume_scene::{Illumination, Model};
+use relume_scene::Model;
 use relume_spec::rendering::ExportedColour;
 use relume_train::render::{SplatFile, SplatFileError, encode_mesh_file, encode_splat_file, relit};
 
@@ -90,9 +90,8 @@ fn relight(
     spec: &EnvironmentSpec,
     degree: usize,
 ) -> Result<Model, ExportError> {
-    let map =
-        light.map().map_err(|why| ExportError::failed(format!("the environment cannot be read: {why}")))?;
-    let light = map.map_or_else(|| model.recovered_light(), |map| Illumination::from(&*map));
+    let unreadable = |why| ExportError::failed(format!("the environment cannot be read: {why}"));
+    let light = light.illumination(&model).map_err(unreadable)?;
     let light = light.rotated_and_scaled(spec.rotation_deg, spec.exposure_ev.exp2() as f32);
     relit(model, light, degree).map_err(|error| ExportError::failed(error.to_string()))
 }

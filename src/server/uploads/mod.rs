@@ -6,11 +6,10 @@ mod headers;
 mod protocol;
 mod receiving;
 
-use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderValue, StatusCode, header};
-use axum::middleware;
 use axum::response::{IntoResponse, Response};
+use axum::{Json, middleware};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 

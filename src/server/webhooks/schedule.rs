@@ -9,8 +9,8 @@ use relume_api::DeliveryId;
 /// Delays before the second attempt, the third, ..., seconds: three days in total.
 const RETRY_DELAYS_S: [u64; 9] = [5, 300, 1800, 7200, 18_000, 36_000, 50_400, 72_000, 86_400];
 
-/// The delay after `tries` attempts; `None` if the message is given up. Up to a fifth is added, derived from the identifier, so
-/// that messages that failed together are not retried together.
+/// The delay after `tries` attempts; `None` if no further attempt follows. Up to a fifth is added, derived
+/// from the identifier, so that messages that failed together are not retried together.
 pub(super) fn retry_delay(id: &DeliveryId, tries: i64) -> Option<Duration> {
     let place = usize::try_from(tries).ok()?.checked_sub(1)?;
     let retry_delay = Duration::from_secs(*RETRY_DELAYS_S.get(place)?);

@@ -46,7 +46,13 @@ async fn get_capture_of_work(
     asked: FileRequest,
 ) -> Result<Response, Problem> {
     let file = lease.capture().await?;
-    send(&app, &lease, &asked, file.ok_or_else(|| Problem::not_found("capture", "of the job"))?).await
+    send(
+        &app,
+        &lease,
+        &asked,
+        file.ok_or_else(|| Problem::not_found("capture of job", lease.job().id.as_str()))?,
+    )
+    .await
 }
 
 #[derive(Deserialize)]
@@ -105,7 +111,13 @@ async fn get_checkpoint_of_work(
     asked: FileRequest,
 ) -> Result<Response, Problem> {
     let file = lease.last_checkpoint();
-    send(&app, &lease, &asked, file.ok_or_else(|| Problem::not_found("checkpoint", "of the job"))?).await
+    send(
+        &app,
+        &lease,
+        &asked,
+        file.ok_or_else(|| Problem::not_found("checkpoint of job", lease.job().id.as_str()))?,
+    )
+    .await
 }
 
 /// Answers with a file. Its hash is verified before any bytes are sent from this server.
@@ -115,7 +127,7 @@ async fn send(
     asked: &FileRequest,
     file: InputFile,
 ) -> Result<Response, Problem> {
-    let missing = || Problem::not_found("file", "of the job");
+    let missing = || Problem::not_found("file", &file.artifact);
     let size = app.store.artifacts().size(&file.artifact).await?.ok_or_else(missing)?;
     let described = ModelFile {
         name: String::new(),

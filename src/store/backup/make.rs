@@ -14,8 +14,7 @@ use crate::store::database::{self, Database, DatabaseFile, DatabaseUrl};
 use crate::store::database_copy::copy_to_file;
 use crate::store::hash::hash_file;
 use crate::store::references::{Reference, references};
-use crate::store::sql;
-use crate::store::{ObjectStoreConfig, StoreError};
+use crate::store::{ObjectStoreConfig, StoreError, sql};
 
 /// Maximum number of snapshots, until all artifacts of one are available.
 const MAX_DATABASE_COPIES: usize = 5;

@@ -10,8 +10,7 @@ use crate::store::backup::files::{CopiedFile, claim, clear, copy, sync_folders};
 use crate::store::backup::manifest::{DATABASE, Manifest, artifact_path};
 use crate::store::database::{self, DatabaseFile};
 use crate::store::references::{names, references};
-use crate::store::sql;
-use crate::store::{DataDirLock, RESTORING, StoreError};
+use crate::store::{DataDirLock, RESTORING, StoreError, sql};
 
 /// Makes a data directory from a backup and compares each file with its hash. Blocks during the copy.
 ///

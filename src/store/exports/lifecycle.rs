@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::store::exports::{ClaimedExport, EXPORTS, ExportedFile};
 use crate::store::hash::hash_file;
-use crate::store::sql;
-use crate::store::{Store, StoreError};
+use crate::store::{Store, StoreError, sql};
 use relume_api::ExportId;
 
 impl Store {

@@ -10,10 +10,9 @@ use tokio::io::{AsyncSeekExt, AsyncWriteExt};
 use tokio_util::bytes::Bytes;
 
 use crate::store::pending_quota::Reservation;
-use crate::store::sql;
 use crate::store::uploads::record::UploadRecord;
 use crate::store::uploads::upload_locks::UploadLock;
-use crate::store::{Store, StoreError};
+use crate::store::{Store, StoreError, sql};
 
 /// Interval, bytes, after which a long chunk is synced to disk and recorded. At most this much is lost if the process is killed.
 const SYNC_INTERVAL_BYTES: u64 = 16 << 20;

@@ -4,9 +4,8 @@ use std::collections::HashSet;
 
 use sqlx::types::Json;
 
-use crate::store::sql;
 use crate::store::uploads::record::UploadRecord;
-use crate::store::{StagedUpload, Store, StoreError};
+use crate::store::{StagedUpload, Store, StoreError, sql};
 use relume_api::metadata::ResourceMetadata;
 use relume_api::{CaptureId, Problem, TenantId};
 

@@ -1,5 +1,7 @@
 //! Renders frames, with a cache of models and prepared lights.
 
+mod light_source;
+
 use std::fmt;
 use std::hash::Hash;
 use std::io::ErrorKind;
@@ -9,13 +11,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lru::LruCache;
 
+pub use light_source::{DecodedMaps, LightSource};
 use relume_api::ModelId;
-use relume_capture::builtin;
-use relume_capture::formats::{environment, model_file};
-use relume_engine::Device;
-use relume_engine::DeviceError;
-use relume_scene::light::map_rows::RENDERED_ROWS;
-use relume_scene::{Camera, EnvMap, Illumination, Model};
+use relume_capture::formats::model_file;
+use relume_engine::{Device, DeviceError};
+use relume_scene::{Camera, Model};
 use relume_spec::rendering::{Output, Quality};
 use relume_train::render::{Frame, PreparedLight, RenderError, Renderer, Viewpoint};
 
@@ -84,64 +84,6 @@ impl fmt::Debug for ModelContent {
         match self {
             Self::File(path) => write!(f, "{}", path.display()),
             Self::Memory(model) => write!(f, "{} Gaussians in memory", model.gaussians.len()),
-        }
-    }
-}
-
-/// A light to render under.
-#[derive(Debug, Clone)]
-pub enum LightSource {
-    /// A built-in map.
-    Builtin(String),
-    /// The recovered light of the model.
-    Recovered,
-    /// An environment file on this machine, by content hash.
-    Stored {
-        /// Content hash, the cache key.
-        sha256: String,
-        /// The file.
-        path: PathBuf,
-    },
-    /// A map in the request.
-    Inline {
-        /// Content hash, the cache key.
-        sha256: String,
-        /// The map.
-        map: Arc<EnvMap>,
-    },
-}
-
-impl LightSource {
-    /// Identifies the content of the light: equal keys mean equal light for the same model.
-    pub fn key(&self) -> String {
-        match self {
-            Self::Builtin(name) => format!("builtin:{name}"),
-            Self::Recovered => "recovered".to_owned(),
-            Self::Stored { sha256, .. } | Self::Inline { sha256, .. } => format!("sha256:{sha256}"),
-        }
-    }
-
-    /// A map with the size limit at which no tier loses accuracy.
-    pub fn downscaled(map: EnvMap) -> EnvMap {
-        map.at_most_rows(RENDERED_ROWS)
-    }
-
-    /// The map; `None` for the recovered light, which depends on the model.
-    ///
-    /// # Errors
-    /// The reason why the file cannot be read.
-    pub fn map(&self) -> Result<Option<Arc<EnvMap>>, String> {
-        match self {
-            Self::Inline { map, .. } => Ok(Some(map.clone())),
-            Self::Recovered => Ok(None),
-            Self::Builtin(name) => {
-                builtin(name).map(|map| Some(Arc::new(map))).ok_or_else(|| "is not a built-in map".to_owned())
-            }
-            Self::Stored { path, .. } => {
-                let bytes = std::fs::read(path).map_err(|e| e.to_string())?;
-                let loaded = environment::decode(&bytes).map_err(|e| e.to_string())?;
-                Ok(Some(Arc::new(Self::downscaled(loaded.map))))
-            }
         }
     }
 }
@@ -228,8 +170,7 @@ impl RenderCache {
         is_wanted: &dyn Fn() -> bool,
     ) -> Result<RenderScene, RenderFailure> {
         let renderer = self.model(&task.model, device, is_wanted)?;
-        let camera = task.viewpoint.camera(renderer.model());
-        let camera = camera.map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
+        let camera = task.viewpoint.camera(renderer.model()).map_err(RenderError::from)?;
         let light = self.light(&renderer, &task.model, (&task.light, task.rotation_deg), is_wanted)?;
         Ok(RenderScene { lit: LitModel { renderer, light }, camera })
     }
@@ -257,7 +198,20 @@ impl RenderCache {
         if let ModelContent::Memory(_) = source.content {
             return load(source, device);
         }
-        get_or_make(&self.models, &source.id, || load(source, device))
+        let renderer = get_or_make(&self.models, &source.id, || load(source, device))?;
+        self.drop_lights_of_evicted_models();
+        Ok(renderer)
+    }
+
+    /// Removes the lights of models that are no longer cached, because a light keeps its model in memory.
+    fn drop_lights_of_evicted_models(&self) {
+        let (models, mut lights) = (lock(&self.models), lock(&self.lights));
+        let is_evicted = |(model, ..): &LightKey| !models.contains(model);
+        let evicted: Vec<LightKey> =
+            lights.iter().map(|(key, _)| key).filter(|key| is_evicted(key)).cloned().collect();
+        for key in evicted {
+            lights.pop(&key);
+        }
     }
 
     fn light(
@@ -394,18 +348,13 @@ fn prepare(
 ) -> Result<Arc<PreparedLight>, RenderFailure> {
     let _span = tracing::info_span!("prepare_light", light = light.key()).entered();
     let internal = |e: String| RenderFailure::Internal(format!("environment {}: {e}", light.key()));
-    let map = light.map().map_err(|error| match light {
-        LightSource::Stored { path, sha256 } if !path.exists() => {
+    let illumination = light.illumination(renderer.model()).map_err(|error| match light {
+        LightSource::Stored { path, sha256, .. } if !path.exists() => {
             RenderFailure::Gone { what: "environment", id: sha256.clone() }
         }
         _ => internal(error),
     })?;
-    let light = map.map_or_else(|| renderer.model().recovered_light(), |map| Illumination::from(&*map));
-    let light = match rotation_deg {
-        0.0 => light,
-        turn => light.rotated_and_scaled(turn, 1.0),
-    };
-    Ok(Arc::new(renderer.prepare_light(light)?))
+    Ok(Arc::new(renderer.prepare_light(illumination.rotated_and_scaled(rotation_deg, 1.0))?))
 }
 
 #[cfg(test)]

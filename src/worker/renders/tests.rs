@@ -1,5 +1,5 @@
 use super::*;
-use relume_scene::{Field, Gaussians, Model, ShadingOptions};
+use relume_scene::{Field, Gaussians, Model};
 use relume_spec::rendering::Tier;
 use relume_train::render::Orbit;
 
@@ -17,19 +17,7 @@ fn model(folder: &tempfile::TempDir) -> ModelSource {
         gaussians.row_mut(Field::OpacityLogit, i)[0] = 4.0;
         gaussians.row_mut(Field::Visibility, i)[0] = relume_scene::light::UNOCCLUDED_SH0;
     }
-    let model = Model {
-        gaussians,
-        prototypes: vec![[0.5; 3]],
-        env_raw: vec![[0.0; 3]; 8],
-        env_width: 4,
-        env_height: 2,
-        lights: Default::default(),
-        shading: ShadingOptions::default(),
-        world_scale: 1.0,
-        world_offset: glam::DVec3::ZERO,
-        framing: None,
-        card: serde_json::Value::Null,
-    };
+    let model = Model::new(gaussians, vec![[0.5; 3]], vec![[0.0; 3]; 8], (4, 2));
     let path = folder.path().join("model.safetensors");
     std::fs::write(&path, model_file::encode(&model).unwrap()).unwrap();
     ModelSource { id: "model".into(), content: ModelContent::File(path) }
@@ -152,7 +140,11 @@ fn rendering_a_deleted_model_or_environment_reports_gone() {
     let model = model(&folder);
     let render = |task: &RenderTask| render(&RenderCache::new(1, 1), task).map(drop);
     let mut lit = task(&model, Tier::Preview, 0.0);
-    lit.light = LightSource::Stored { sha256: "00".to_owned(), path: folder.path().join("no-map") };
+    lit.light = LightSource::Stored {
+        sha256: "00".to_owned(),
+        path: folder.path().join("no-map"),
+        maps: DecodedMaps::default(),
+    };
     assert_eq!(render(&lit), Err(RenderFailure::Gone { what: "environment", id: "00".to_owned() }));
     let task = task(&model, Tier::Preview, 0.0);
     render(&task).unwrap();
@@ -228,4 +220,17 @@ fn a_model_that_fails_to_load_is_not_cached() {
     render(&cache, &task(&ready, Tier::Preview, 0.0)).unwrap();
     assert!(render(&cache, &task(&missing, Tier::Preview, 0.0)).is_err());
     assert_eq!(lock(&cache.models).len(), 1);
+}
+
+#[test]
+fn an_evicted_model_takes_its_lights_with_it() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let first = model(&folder);
+    let second = ModelSource { id: "second".into(), ..first.clone() };
+    let cache = RenderCache::new(1, 4);
+    let cached_models = || lock(&cache.lights).iter().map(|(key, _)| key.0.to_string()).collect::<Vec<_>>();
+    render(&cache, &task(&first, Tier::Preview, 0.0)).unwrap();
+    assert_eq!(cached_models(), ["model"], "the control: the light of a cached model stays");
+    render(&cache, &task(&second, Tier::Preview, 0.0)).unwrap();
+    assert_eq!(cached_models(), ["second"]);
 }

@@ -42,8 +42,7 @@ impl Worker {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-    use std::sync::mpsc;
+    use std::sync::{Arc, mpsc};
 
     use tempfile::TempDir;
     use tokio_util::sync::CancellationToken;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::worker::job_source::{Claim, JobSourceError};
 use crate::worker::progress::announce;
-use crate::worker::renders::LightSource;
+use crate::worker::renders::{DecodedMaps, LightSource};
 use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, ENVIRONMENT_MISSING};
 use relume_api::EnvironmentId;
@@ -55,7 +55,7 @@ async fn known_light(claim: &dyn Claim, config: &TrainConfig) -> Result<Option<L
         JobSourceError::Gone => AttemptError::new(ENVIRONMENT_MISSING, "the known light no longer exists"),
         error => error.into(),
     })?;
-    Ok(Some(LightSource::Stored { sha256, path }))
+    Ok(Some(LightSource::Stored { sha256, path, maps: DecodedMaps::default() }))
 }
 
 /// Reads a capture and sets its known light.
