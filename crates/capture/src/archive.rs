@@ -200,6 +200,16 @@ impl ZipEntries {
         }
         Ok(bytes)
     }
+
+    /// At most `length` bytes from the start of an entry, without a check of its checksum.
+    pub(super) fn read_start(&self, key: usize, name: &str, length: u64) -> Result<Vec<u8>, CaptureError> {
+        let mut archive = locked(&self.archive);
+        let entry = archive.by_index(self.indices[key]).map_err(|e| unreadable(name, "", &e))?;
+        let mut bytes = Vec::new();
+        let read = entry.take(length).read_to_end(&mut bytes);
+        read.map_err(|source| CaptureError::Io { file: name.to_owned(), source })?;
+        Ok(bytes)
+    }
 }
 
 /// The path of a regular file, `None` for a folder, an error for any other kind.
@@ -279,7 +289,13 @@ impl TarEntries {
 
     /// The bytes of a file.
     pub(super) fn read(&self, key: usize, name: &str) -> Result<Vec<u8>, CaptureError> {
-        let (start, length) = self.spans[key];
+        self.read_start(key, name, u64::MAX)
+    }
+
+    /// At most `length` bytes from the start of an entry.
+    pub(super) fn read_start(&self, key: usize, name: &str, length: u64) -> Result<Vec<u8>, CaptureError> {
+        let (start, stored) = self.spans[key];
+        let length = length.min(stored);
         match &self.backing {
             // The spans were checked against the length when the index was made.
             Backing::Memory(bytes) => Ok(bytes[start as usize..(start + length) as usize].to_vec()),

@@ -92,12 +92,29 @@ impl CaptureFiles {
     /// [`CaptureError::File`] when there is none, [`CaptureError::OverLimit`] when it is too large,
     /// [`CaptureError::ArchiveDamaged`] when it does not unpack to the size and checksum that the archive states.
     pub fn read(&self, path: &str) -> Result<Vec<u8>, CaptureError> {
-        let missing = || CaptureError::File { file: path.to_owned(), reason: "is missing".to_owned() };
-        let &index = self.files.get(path).ok_or_else(missing)?;
+        let &index = self.files.get(path).ok_or_else(|| missing(path))?;
         match &self.container {
             Container::Folder { paths, .. } => read_file(&paths[index], path, &self.limits),
             Container::Zip(zip) => zip.read(index, path, &self.limits),
             Container::Tar(tar) => tar.read(index, path),
+        }
+    }
+
+    /// At most `length` bytes from the start of a file. The checksum of an archive is not checked.
+    ///
+    /// # Errors
+    /// [`CaptureError::File`] when there is none, [`CaptureError::Io`] when it cannot be read.
+    pub(super) fn read_start(&self, path: &str, length: u64) -> Result<Vec<u8>, CaptureError> {
+        let &index = self.files.get(path).ok_or_else(|| missing(path))?;
+        match &self.container {
+            Container::Folder { paths, .. } => {
+                let io = |source| CaptureError::Io { file: path.to_owned(), source };
+                let mut bytes = Vec::new();
+                File::open(&paths[index]).map_err(io)?.take(length).read_to_end(&mut bytes).map_err(io)?;
+                Ok(bytes)
+            }
+            Container::Zip(zip) => zip.read_start(index, path, length),
+            Container::Tar(tar) => tar.read_start(index, path, length),
         }
     }
 
@@ -108,6 +125,10 @@ impl CaptureFiles {
         let path = root.join(relative);
         path.is_file().then(|| read_file(&path, relative, &self.limits).ok()).flatten()
     }
+}
+
+fn missing(path: &str) -> CaptureError {
+    CaptureError::File { file: path.to_owned(), reason: "is missing".to_owned() }
 }
 
 fn open_archive(

@@ -6,7 +6,7 @@ pub enum CaptureError {
     /// The file system failed.
     #[error("{file}: cannot be read: {source}")]
     Io {
-        /// What was read.
+        /// The file that was read.
         file: String,
         /// The system's reason.
         source: std::io::Error,
@@ -16,7 +16,7 @@ pub enum CaptureError {
     ArchiveDamaged {
         /// The archive, or the entry in it.
         file: String,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
     /// An entry that is not safe: a path that leads out of the archive, a link, a device, a duplicate.
@@ -24,7 +24,7 @@ pub enum CaptureError {
     UnsafeEntry {
         /// The entry's name as the archive states it.
         file: String,
-        /// What is wrong with it.
+        /// The reason.
         reason: String,
     },
     /// A limit of [`super::ImportLimits`] was exceeded.
@@ -44,7 +44,7 @@ pub enum CaptureError {
          `relume capture poses` and `relume train` compute the poses of photographs without poses"
     )]
     UnknownLayout {
-        /// What was found instead.
+        /// The files that were found instead.
         reason: String,
     },
     /// A file of the layout is missing or cannot be parsed at all.
@@ -52,7 +52,7 @@ pub enum CaptureError {
     File {
         /// The file.
         file: String,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
     /// A field of a file is missing or has an unusable value.
@@ -62,7 +62,7 @@ pub enum CaptureError {
         file: String,
         /// The field, as a path like `frames[3].transform_matrix`.
         field: String,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
     /// An image cannot be used.
@@ -70,7 +70,7 @@ pub enum CaptureError {
     Image {
         /// The image.
         file: String,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
     /// There are too few photographs to train on.

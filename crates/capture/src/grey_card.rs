@@ -5,8 +5,7 @@ use std::path::Path;
 use crate::images::load_image;
 use crate::light_rotations::{NO_SUCH_PHOTO, SEVERAL_PHOTOS, is_named};
 use crate::{Capture, CaptureError, CaptureFiles, ImportLimits, ImportOptions};
-use relume_scene::ImageRgba;
-use relume_scene::srgb;
+use relume_scene::{ImageRgba, srgb};
 use relume_spec::training::GreyCard;
 
 /// Least mean of a channel, linear; below it, noise dominates the colour.

@@ -48,18 +48,33 @@ pub(super) fn load_photo(
     })
 }
 
-/// The size that [`load_photo`] returns, from the headers alone.
+/// Number of bytes at the start of a file that contain the header of most images.
+const HEAD: u64 = 256 << 10;
+
+/// Stored width and height of an image. The whole file is read only if its first bytes do not contain the size.
 ///
 /// # Errors
 /// [`CaptureError::Image`] when the header cannot be read.
+pub(super) fn dimensions(source: &CaptureFiles, path: &str) -> Result<(u32, u32), CaptureError> {
+    if let Ok(size) = image_file::dimensions(&source.read_start(path, HEAD)?) {
+        return Ok(size);
+    }
+    image_file::dimensions(&source.read(path)?).map_err(|error| CaptureError::image(path, error))
+}
+
+/// The size that [`load_photo`] returns, from the headers alone.
+///
+/// # Errors
+/// As [`dimensions`].
 pub(super) fn photo_size(
     source: &CaptureFiles,
     path: &str,
     lens_size: Option<(f64, f64)>,
 ) -> Result<(u32, u32), CaptureError> {
-    let bytes = source.read(path)?;
-    let stored = image_file::dimensions(&bytes).map_err(|error| CaptureError::image(path, error))?;
-    Ok(if turn(&bytes, stored, lens_size).is_some() { (stored.1, stored.0) } else { stored })
+    let stored = dimensions(source, path)?;
+    let is_turned =
+        fits_only_turned(stored, lens_size) && turn(&source.read(path)?, stored, lens_size).is_some();
+    Ok(if is_turned { (stored.1, stored.0) } else { stored })
 }
 
 fn decode(
@@ -77,16 +92,21 @@ fn decode(
 }
 
 /// The EXIF orientation, if it swaps the sides (5 to 8) and the lens is stated for an image with swapped sides.
-fn turn(bytes: &[u8], (width, height): (u32, u32), lens_size: Option<(f64, f64)>) -> Option<u8> {
-    let (lens_width, lens_height) = lens_size?;
+fn turn(bytes: &[u8], stored: (u32, u32), lens_size: Option<(f64, f64)>) -> Option<u8> {
+    if !fits_only_turned(stored, lens_size) {
+        return None;
+    }
+    exif_data::read(bytes).orientation.filter(|turn| (5..=8).contains(turn))
+}
+
+/// Whether an image has the aspect ratio of the lens only with swapped sides.
+fn fits_only_turned((width, height): (u32, u32), lens_size: Option<(f64, f64)>) -> bool {
+    let Some((lens_width, lens_height)) = lens_size else { return false };
     let fits = |width: u32, height: u32| {
         let ratio = lens_width / lens_height * f64::from(height) / f64::from(width);
         (ratio - 1.0).abs() <= 0.02
     };
-    if fits(width, height) || !fits(height, width) {
-        return None;
-    }
-    exif_data::read(bytes).orientation.filter(|turn| (5..=8).contains(turn))
+    !fits(width, height) && fits(height, width)
 }
 
 /// The image as EXIF orientation `turn`, 5 to 8, shows it.
@@ -151,5 +171,36 @@ mod tests {
             assert_eq!((shown.width, shown.height), (2, 3));
             assert_eq!(shown.pixels, wanted.map(pixel), "{turn}");
         }
+    }
+
+    /// A file of `bytes` in a folder of its own.
+    fn folder_of(bytes: &[u8]) -> (tempfile::TempDir, CaptureFiles) {
+        let folder = tempfile::TempDir::new().unwrap();
+        std::fs::write(folder.path().join("a"), bytes).unwrap();
+        let files = CaptureFiles::open(folder.path(), &crate::ImportLimits::default()).unwrap();
+        (folder, files)
+    }
+
+    #[test]
+    fn image_size_needs_only_the_start_of_a_file_that_has_it_there() {
+        use image::{ImageFormat, RgbImage};
+        let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
+        let image =
+            RgbImage::from_fn(400, 300, |x, y| image::Rgb([0, 7, 99].map(|c| noise(x + 400 * y + c))));
+        let encoded = |format: ImageFormat| {
+            let mut bytes = std::io::Cursor::new(Vec::new());
+            image.write_to(&mut bytes, format).unwrap();
+            bytes.into_inner()
+        };
+        let (png, tiff) = (encoded(ImageFormat::Png), encoded(ImageFormat::Tiff));
+        assert!(png.len() as u64 > HEAD + 4 && tiff.len() as u64 > HEAD);
+        let (_folder, truncated) = folder_of(&png[..HEAD as usize + 4]);
+        assert_eq!(dimensions(&truncated, "a").unwrap(), (400, 300));
+        // The directory of this TIFF is at its end.
+        let (_folder, whole) = folder_of(&tiff);
+        assert!(image_file::dimensions(&whole.read_start("a", HEAD).unwrap()).is_err(), "the control");
+        assert_eq!(dimensions(&whole, "a").unwrap(), (400, 300));
+        let (_folder, none) = folder_of(b"no image");
+        assert!(dimensions(&none, "a").unwrap_err().to_string().contains('a'));
     }
 }

@@ -1,13 +1,13 @@
 //! Imports a folder or an archive as a [`Capture`].
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use crate::check::{Finding, ImageChecks};
-use crate::formats::image_file;
 use crate::formats::ply_points::Point;
 use crate::photos::{self, PhotoEntry, Split};
 use crate::{
-    Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, blender, bounds, colmap, llff,
+    Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, blender, bounds, colmap, images, llff,
     nerfstudio, truth,
 };
 use relume_spec::{CaptureReport, PhotographNote};
@@ -31,6 +31,8 @@ pub struct UndecodedCapture {
     layout: Layout,
     warnings: Vec<String>,
     sizes: Vec<(u32, u32)>,
+    /// Photographs that are already decoded, by index.
+    decoded: BTreeMap<usize, CaptureView>,
 }
 
 impl UndecodedCapture {
@@ -43,7 +45,7 @@ impl UndecodedCapture {
         let mut warnings = Vec::new();
         let layout = read_layout(&source, &mut warnings)?;
         let sizes = photos::sizes(&source, &layout.1, options)?;
-        Ok(Self { source, options: *options, layout, warnings, sizes })
+        Ok(Self { source, options: *options, layout, warnings, sizes, decoded: BTreeMap::new() })
     }
 
     /// Widths and heights of the photographs after reduction, pixels, including held-out ones. Photographs that
@@ -58,18 +60,19 @@ impl UndecodedCapture {
     }
 
     /// Least number of bytes of memory for a pixel with its mask, over the first, the middle and the last photograph;
-    /// 0 without photographs.
+    /// 0 without photographs. [`Self::decode`] does not decode these photographs again.
     ///
     /// # Errors
     /// As [`import`], of those photographs.
-    pub fn bytes_a_pixel(&self) -> Result<f64, CaptureError> {
+    pub fn bytes_a_pixel(&mut self) -> Result<f64, CaptureError> {
         let photos = &self.layout.1;
-        let looked_at = photos.iter().step_by((photos.len() / 2).max(1)).chain(photos.last());
-        let looked_at: Vec<_> = looked_at.cloned().collect();
-        let options = ImportOptions { load_truth: false, ..self.options };
-        let views = photos::load(&self.source, &looked_at, &options, None)?;
-        let bytes = views.iter().map(|view| view.image.bytes() as f64 / view.image.len().max(1) as f64);
-        Ok(bytes.reduce(f64::min).unwrap_or(0.0))
+        let chosen: BTreeSet<usize> =
+            (0..photos.len()).step_by((photos.len() / 2).max(1)).chain(photos.len().checked_sub(1)).collect();
+        let entries: Vec<_> = chosen.iter().map(|i| photos[*i].clone()).collect();
+        let views = photos::load(&self.source, &entries, &self.options, None)?;
+        self.decoded = chosen.into_iter().zip(views).collect();
+        let bytes_of = |view: &CaptureView| view.image.bytes() as f64 / view.image.len().max(1) as f64;
+        Ok(self.decoded.values().map(bytes_of).reduce(f64::min).unwrap_or(0.0))
     }
 
     /// Decodes the photographs.
@@ -85,8 +88,11 @@ impl UndecodedCapture {
         self,
         image_checks: Option<&ImageChecks>,
     ) -> Result<(Capture, CaptureFiles), CaptureError> {
-        let Self { source, options, layout: (layout, photos, points), mut warnings, .. } = self;
-        let views = photos::load(&source, &photos, &options, image_checks)?;
+        let Self { source, options, layout: (layout, photos, points), mut warnings, mut decoded, .. } = self;
+        let missing = photos.iter().enumerate().filter(|(i, _)| !decoded.contains_key(i));
+        let missing: Vec<PhotoEntry> = missing.map(|(_, photo)| photo.clone()).collect();
+        let mut loaded = photos::load(&source, &missing, &options, image_checks)?.into_iter();
+        let views = (0..photos.len()).filter_map(|i| decoded.remove(&i).or_else(|| loaded.next())).collect();
         let (train, test) = split(&photos, views);
         let has_alpha = train.iter().any(|v| !v.image.is_opaque());
         let bounds = bounds::bounds(&train, &points, has_alpha);
@@ -121,8 +127,7 @@ pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, Ca
     let noted = |finding: Finding| PhotographNote { text: finding.text, photographs: finding.photos };
     report.notes = image_checks.findings().into_iter().map(noted).collect();
     if let Some(view) = capture.train.first() {
-        let stored = image_file::dimensions(&source.read(&view.name)?);
-        (report.width, report.height) = stored.map_err(|e| CaptureError::image(&view.name, e))?;
+        (report.width, report.height) = images::dimensions(&source, &view.name)?;
     }
     Ok(report)
 }

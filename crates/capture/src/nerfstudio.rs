@@ -2,9 +2,8 @@
 
 use crate::formats::ply_points::{self, Point};
 use crate::photos::{PhotoEntry, Split, check_missing, locate};
-use crate::transforms;
 use crate::truth::TruthFiles;
-use crate::{CaptureError, CaptureFiles, masks};
+use crate::{CaptureError, CaptureFiles, masks, transforms};
 
 /// The file that marks this layout.
 pub(super) const MARKER: &str = "transforms.json";

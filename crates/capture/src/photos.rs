@@ -5,8 +5,7 @@ use rayon::prelude::*;
 
 use crate::check::ImageChecks;
 use crate::error::name_list;
-use crate::formats::image_file;
-use crate::images::{Loaded, load_image, load_photo, photo_size};
+use crate::images::{Loaded, dimensions, load_image, load_photo, photo_size};
 use crate::lens::{Distortion, Intrinsics, Lens};
 use crate::truth::TruthFiles;
 use crate::{CaptureError, CaptureFiles, CaptureView, GroundTruthView, ImportOptions, undistort};
@@ -103,8 +102,7 @@ pub(super) fn load(
 }
 
 /// The sizes to which photographs are reduced, pixels, from their headers, so that a capture that is too large for
-/// memory is refused before it is decoded. Every file is read twice, which is cheap compared with decoding it once. A
-/// file that cannot be read has no size; decoding it returns an error with its name.
+/// memory is refused before it is decoded. A file that cannot be read has no size; decoding it returns an error with its name.
 ///
 /// # Errors
 /// [`CaptureError::OverLimit`] when the photographs together have more pixels than are allowed.
@@ -113,10 +111,7 @@ pub(super) fn sizes(
     photos: &[PhotoEntry],
     options: &ImportOptions,
 ) -> Result<Vec<(u32, u32)>, CaptureError> {
-    let size = |photo: &PhotoEntry| {
-        let bytes = source.read(&photo.image).ok()?;
-        Some(options.reduced_size(image_file::dimensions(&bytes).ok()?))
-    };
+    let size = |photo: &PhotoEntry| Some(options.reduced_size(dimensions(source, &photo.image).ok()?));
     let sizes: Vec<(u32, u32)> = photos.par_iter().filter_map(size).collect();
     let total: u64 = sizes.iter().map(|(w, h)| u64::from(*w) * u64::from(*h)).sum();
     let limit = options.limits.max_total_pixels;

@@ -5,8 +5,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use crate::formats::image_file;
-use crate::{CaptureError, CaptureFiles, ImportLimits, import, masks};
+use crate::{CaptureError, CaptureFiles, ImportLimits, images, import, masks};
 
 /// File extensions of photographs that COLMAP reads.
 const ENDINGS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "webp"];
@@ -71,9 +70,7 @@ impl PhotosWithoutPoses {
     /// [`CaptureError::Image`] names the first file that is not an image.
     pub(super) fn have_one_size(&self) -> Result<bool, CaptureError> {
         let names: Vec<&str> = self.photos().collect();
-        let size = |name: &&str| {
-            image_file::dimensions(&self.read(name)?).map_err(|error| CaptureError::image(name, error))
-        };
+        let size = |name: &&str| images::dimensions(&self.source, name);
         let sizes: Vec<_> = names.par_iter().map(size).collect();
         let sizes = sizes.into_iter().collect::<Result<Vec<_>, _>>()?;
         Ok(sizes.windows(2).all(|pair| pair[0] == pair[1]))

@@ -9,8 +9,7 @@ use crate::formats::{environment, image_file};
 use crate::images::load_image;
 use crate::json::parse_json;
 use crate::{CaptureError, CaptureFiles, CaptureView, GroundTruthView, ImportOptions};
-use relume_scene::srgb;
-use relume_scene::{EnvMap, ImageRgba, Plane};
+use relume_scene::{EnvMap, ImageRgba, Plane, srgb};
 
 /// Depth images store `value / 65535 * DEPTH_RANGE` capture units along the view axis.
 pub(super) const DEPTH_RANGE: f32 = 10.0;
@@ -115,7 +114,8 @@ impl TruthFiles {
         Ok(truth)
     }
 
-    /// The stored layer `name`, if the set has it.
+    /// The stored layer `name`, if the set has it. A layer that is smaller than its view or has another
+    /// aspect ratio is an error.
     fn layer(
         &self,
         source: &CaptureFiles,

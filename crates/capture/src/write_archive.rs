@@ -10,8 +10,7 @@ use crate::formats::image_file::{encode_png, encode_png16, encode_rgba};
 use crate::formats::{ImageFileError, environment};
 use crate::truth::DEPTH_RANGE;
 use crate::{Capture, CaptureError, CaptureView, GroundTruthView};
-use relume_scene::srgb;
-use relume_scene::{PackedImage, Plane};
+use relume_scene::{PackedImage, Plane, srgb};
 
 /// Writes images as 8-bit PNG, depth as 16-bit PNG, lights as Radiance files. Equal captures give equal bytes.
 ///

@@ -1,6 +1,6 @@
 //! The importers through the public interface.
 
-// Helpers of tests are tests: a failed one should say where.
+// Test helpers may panic: the panic names the place.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 mod captures;

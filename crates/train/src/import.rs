@@ -22,8 +22,8 @@ pub fn import_for_training(
     budget: MemoryBudget,
 ) -> Result<Capture, TrainError> {
     let options = ImportOptions { max_side: Some(config.resolution), limits: *limits, load_truth: false };
-    let undecoded = UndecodedCapture::open(path, &options)?;
-    memory::check(&PhotographSizes::undecoded(&undecoded)?, config, budget)?;
+    let mut undecoded = UndecodedCapture::open(path, &options)?;
+    memory::check(&PhotographSizes::undecoded(&mut undecoded)?, config, budget)?;
     let mut capture = undecoded.decode()?;
     memory::check(&PhotographSizes::of(&capture), config, budget)?;
     capture.set_light_rotations(&config.light_rotation_per_photo)?;
@@ -39,10 +39,8 @@ mod tests {
     use crate::Trainer;
     use relume_capture::{SyntheticOptions, synthetic, write_archive};
     use relume_engine::Device;
-    use relume_scene::srgb;
-    use relume_scene::{BitDepth, PackedImage};
-    use relume_spec::training::GreyCard;
-    use relume_spec::training::{Preset, TrainOverrides, WhiteBalance};
+    use relume_scene::{BitDepth, PackedImage, srgb};
+    use relume_spec::training::{GreyCard, Preset, TrainOverrides, WhiteBalance};
 
     const CARD: [f32; 3] = [0.5, 0.4, 0.2];
 

@@ -62,7 +62,7 @@ impl PhotographSizes {
     ///
     /// # Errors
     /// The error of decoding one of these photographs.
-    pub fn undecoded(capture: &UndecodedCapture) -> Result<Self, CaptureError> {
+    pub fn undecoded(capture: &mut UndecodedCapture) -> Result<Self, CaptureError> {
         let (sizes, bytes_a_pixel) = (capture.sizes().to_vec(), capture.bytes_a_pixel()?);
         Ok(Self { sizes, bytes_a_pixel, held_out: capture.held_out() })
     }

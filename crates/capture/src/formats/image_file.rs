@@ -11,8 +11,7 @@ use image::{
 use jpeg_encoder::{ColorType, SamplingFactor};
 
 use crate::formats::{ImageFileError, exr_image};
-use relume_scene::srgb;
-use relume_scene::{BitDepth, ImageRgba};
+use relume_scene::{BitDepth, ImageRgba, srgb};
 
 /// Default limit on the pixels of one image.
 pub const DEFAULT_MAX_PIXELS: u64 = 134_000_000;

@@ -36,7 +36,7 @@ pub enum ModelFileError {
     Field {
         /// Name of the header field or tensor.
         field: String,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
 }

@@ -10,8 +10,7 @@ use crate::formats::ply_model::{METADATA_COMMENT, PlyMetadata};
 use crate::formats::ply_table::{PlyTable, bad};
 use crate::formats::splats::{MAX_SPLAT_SH_DEGREE, outward_axis};
 use relume_scene::{
-    Field, Gaussians, IndirectForm, Model, NormalForm, ShadingOptions, VisibilityForm, sh_count,
-    softplus_inverse,
+    Field, Gaussians, IndirectForm, Model, NormalForm, VisibilityForm, sh_count, softplus_inverse,
 };
 
 /// Highest supported SH degree of a visibility field.
@@ -49,17 +48,13 @@ pub fn decode(bytes: &[u8]) -> Result<Model, PlyError> {
     }
     let lit = columns.material.is_some();
     let mut model = Model {
-        gaussians,
-        prototypes: vec![[0.0; 3]],
-        env_raw: vec![[softplus_inverse(1.0); 3]; LIGHT_SIZE.0 * LIGHT_SIZE.1],
-        env_width: LIGHT_SIZE.0,
-        env_height: LIGHT_SIZE.1,
-        lights: Default::default(),
-        shading: ShadingOptions::default(),
-        world_scale: 1.0,
-        world_offset: DVec3::ZERO,
-        framing: None,
         card: json!({ "imported": { "from": "ply", "materials": lit } }),
+        ..Model::new(
+            gaussians,
+            vec![[0.0; 3]],
+            vec![[softplus_inverse(1.0); 3]; LIGHT_SIZE.0 * LIGHT_SIZE.1],
+            (LIGHT_SIZE.0, LIGHT_SIZE.1),
+        )
     };
     read_metadata(&table, &mut model)?;
     if columns.material.as_ref().is_none_or(|m| m.visibility.is_empty()) {

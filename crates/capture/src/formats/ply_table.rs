@@ -7,7 +7,7 @@
 pub struct PlyError {
     /// The header line, property or vertex at fault.
     pub field: String,
-    /// What is wrong.
+    /// The reason.
     pub reason: String,
 }
 

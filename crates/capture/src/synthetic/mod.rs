@@ -13,8 +13,7 @@ use self::scene::AnalyticScene;
 pub use self::scene::SyntheticScene;
 use self::tracer::{AmbientOcclusion, Pixel, Tracer};
 use crate::{Capture, CaptureError, CaptureView, GroundTruthView, SceneBounds, builtin};
-use relume_scene::srgb;
-use relume_scene::{BitDepth, Camera, EnvMap, ImageRgba, PackedImage, Plane};
+use relume_scene::{BitDepth, Camera, EnvMap, ImageRgba, PackedImage, Plane, srgb};
 
 /// Radius of the ball around the origin that contains the scene.
 const SCENE_RADIUS: f64 = 1.2;

@@ -60,7 +60,7 @@ fn truncated_archives_are_refused() {
             assert!(refusal(&whole[..cut]).is_users_fault(), "cut at {cut} of {}", whole.len());
         }
     }
-    // A tar ends in a kilobyte of zeros; any cut that takes all of the mark is noticed.
+    // A tar ends in 1 KiB of zeros. A cut that removes all of them is detected.
     let whole = tar(&files);
     for cut in (0..whole.len() - 1024).step_by(100) {
         assert_eq!(refusal(&whole[..cut]).code(), "capture_archive_damaged", "cut at {cut}");

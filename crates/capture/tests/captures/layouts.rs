@@ -1,10 +1,12 @@
-//! Every layout: what is recognised, where the cameras are, what is held out.
+//! Every layout: recognition, cameras, and held-out photographs.
 
 use glam::DVec3;
 use serde_json::json;
 
 use relume_capture::formats::image_file;
-use relume_capture::{Capture, CaptureView, ImportLimits, ImportOptions, cameras, import, inspect};
+use relume_capture::{
+    Capture, CaptureView, ImportLimits, ImportOptions, UndecodedCapture, cameras, import, inspect,
+};
 use relume_fixtures::small_set::{
     Files, blender, camera, colmap, import_bytes, import_folder, nerfstudio, pose_error, transforms, zip,
 };
@@ -32,6 +34,33 @@ fn blender_set_keeps_poses_and_holds_out_every_eighth_image() {
         assert!(pose_error(&view.camera, i + 1) > 0.1, "the comparison can fail");
         assert!((view.image.pixel(9)[0] - i as f32 * 10.0 / 255.0).abs() < 1e-6);
     }
+}
+
+#[test]
+fn photographs_decoded_for_the_memory_estimate_are_not_decoded_again() {
+    let folder = tempfile::TempDir::new().unwrap();
+    for (name, bytes) in &blender() {
+        let path = folder.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, bytes).unwrap();
+    }
+    let whole = import(folder.path(), &ImportOptions::default()).unwrap();
+    let mut undecoded = UndecodedCapture::open(folder.path(), &ImportOptions::default()).unwrap();
+    assert!(undecoded.bytes_a_pixel().unwrap() > 0.0);
+    for decoded in ["train/r_0.png", "train/r_2.png", "train/r_3.png"] {
+        std::fs::remove_file(folder.path().join(decoded)).unwrap();
+    }
+    let views = |capture: &Capture| -> Vec<_> {
+        capture
+            .train
+            .iter()
+            .chain(&capture.test)
+            .map(|v| (v.name.clone(), v.image.decoded().pixels))
+            .collect()
+    };
+    assert_eq!(views(&undecoded.decode().unwrap()), views(&whole));
+    let other = UndecodedCapture::open(folder.path(), &ImportOptions::default());
+    assert!(other.and_then(UndecodedCapture::decode).is_err(), "the control: the photographs are gone");
 }
 
 #[test]

@@ -1,5 +1,4 @@
-//! Captures through the public importer: made ones, hostile ones, and real ones
-//! from the test data.
+//! Captures through the public importer: generated, hostile, and real ones from the test data.
 
 #![allow(clippy::unwrap_used)]
 

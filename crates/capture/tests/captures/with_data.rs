@@ -86,7 +86,7 @@ fn fox_import_warns_of_17_missing_images() {
     }
 }
 
-/// Share of point-in-view pairs, over points near the subject, that land inside the image.
+/// Share of point-in-view pairs, over points near the object, that are inside the image.
 fn share_in_view(capture: &Capture, mirror: f64) -> f64 {
     let (mut inside, mut all) = (0, 0);
     for view in capture.train.iter().chain(&capture.test) {
@@ -122,7 +122,7 @@ fn colmap_points_project_into_their_images() {
     }
 }
 
-/// What COLMAP measured: per image name, the lens `[f, cx, cy, k]` and observations `(x, y, index of point)`.
+/// COLMAP's measurements per image name: the lens `[f, cx, cy, k]` and observations `(x, y, index of point)`.
 struct Measured {
     images: BTreeMap<String, MeasuredImage>,
 }

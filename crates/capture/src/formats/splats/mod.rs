@@ -5,8 +5,7 @@ mod y_up;
 
 use glam::{DQuat, DVec3, Vec3};
 
-use relume_scene::srgb;
-use relume_scene::{Field, Model, NormalForm, sh_count};
+use relume_scene::{Field, Model, NormalForm, sh_count, srgb};
 
 /// Highest SH degree of the colour in splat files.
 pub const MAX_SPLAT_SH_DEGREE: usize = 3;
@@ -221,7 +220,7 @@ fn shortest_axis(s: [f32; 3]) -> DVec3 {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use relume_scene::{Gaussians, ShadingOptions};
+    use relume_scene::Gaussians;
 
     /// Two Gaussians, the second with a value in every field.
     pub(in crate::formats) fn example() -> Model {
@@ -237,17 +236,9 @@ pub(super) mod tests {
         let radiance: Vec<f32> = (0..12).map(|k| k as f32).collect();
         g.row_mut(Field::Radiance, 1).copy_from_slice(&radiance);
         Model {
-            gaussians: g,
-            prototypes: vec![[0.2, 0.4, 0.6], [0.6, 0.4, 0.2]],
-            env_raw: vec![[0.0; 3]; 2],
-            env_width: 2,
-            env_height: 1,
-            lights: Default::default(),
-            shading: ShadingOptions::default(),
             world_scale: 2.0,
             world_offset: DVec3::new(0.0, 1.0, 0.0),
-            framing: None,
-            card: serde_json::Value::Null,
+            ..Model::new(g, vec![[0.2, 0.4, 0.6], [0.6, 0.4, 0.2]], vec![[0.0; 3]; 2], (2, 1))
         }
     }
 

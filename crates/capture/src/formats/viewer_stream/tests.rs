@@ -4,7 +4,7 @@ use relume_compare::largest_difference;
 use serde_json::Value;
 
 use super::*;
-use relume_scene::{EnvMap, Field, Framing, Gaussians, MAX_LIGHTS, Model, ShadingOptions, SplitLight};
+use relume_scene::{EnvMap, Field, Framing, Gaussians, MAX_LIGHTS, Model, SplitLight};
 
 /// A decoded stream.
 struct Read {
@@ -76,17 +76,9 @@ fn model() -> Model {
     gaussians.row_mut(Field::LogScale, 6).fill(-70.0);
     gaussians.row_mut(Field::OpacityLogit, 7)[0] = 1e9;
     Model {
-        gaussians,
-        prototypes: vec![[0.1, 0.5, 0.9], [0.7, 0.3, 0.2]],
-        env_raw: vec![[0.0; 3]; 2],
-        env_width: 2,
-        env_height: 1,
-        lights: Default::default(),
-        shading: ShadingOptions::default(),
         world_scale: 0.5,
         world_offset: DVec3::new(1.0, 2.0, 3.0),
-        framing: None,
-        card: Value::Null,
+        ..Model::new(gaussians, vec![[0.1, 0.5, 0.9], [0.7, 0.3, 0.2]], vec![[0.0; 3]; 2], (2, 1))
     }
 }
 
