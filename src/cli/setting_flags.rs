@@ -1,4 +1,4 @@
-//! A flag of `relume train` for every setting of a training that has none of its own.
+//! The flags of `relume train` for the training settings without a flag of their own.
 
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 use relume_spec::training::{Setting, settings};

@@ -6,11 +6,10 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::NerfstudioWorld;
 use crate::jobs::JobError;
 use crate::models::FileView;
 use crate::renders::EnvironmentSpec;
-use crate::{ExportId, ModelId};
+use crate::{ExportId, ModelId, NerfstudioWorld};
 use relume_spec::rendering::{
     AlphaMode, Background, ColourDepth, ExportedColour, FrameFormat, MAX_BAKED_DEGREE, Output, Primaries,
     Tier, ToneCurve,

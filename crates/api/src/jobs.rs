@@ -289,7 +289,7 @@ pub struct JobError {
 
 /// Serialises the given overrides only.
 fn only_those_given<S: serde::Serializer>(overrides: &TrainOverrides, to: S) -> Result<S::Ok, S::Error> {
-    // By way of text, which holds the shortest digits of an f32; a `Value` would hold those of an f64.
+    // Serialised through text, which has the shortest digits of an f32; a `Value` would have those of an f64.
     let text = serde_json::to_string(overrides).map_err(serde::ser::Error::custom)?;
     let mut fields: serde_json::Map<String, serde_json::Value> =
         serde_json::from_str(&text).map_err(serde::ser::Error::custom)?;

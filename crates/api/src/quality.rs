@@ -72,7 +72,8 @@ pub enum Figure {
     NovelViewSsim,
     /// PSNR of the radiance branch.
     RadiancePsnr,
-    /// PSNR of the physically based branch, matched to each photograph's exposure.
+    /// PSNR of the physically based branch, matched to each photograph's exposure and white
+    /// balance.
     MatchedPsnr,
 }
 

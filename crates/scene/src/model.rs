@@ -105,7 +105,22 @@ impl ShadingOptions {
     pub fn shades_lights(&self) -> bool {
         self.shade_at == ShadeAt::Gaussian && self.visibility != VisibilityForm::Off
     }
+
+    /// The first number that is out of range, and its range.
+    pub fn fault(&self) -> Option<(&'static str, &'static str)> {
+        if !(0.0..=MAX_LOW_PASS).contains(&self.low_pass) {
+            return Some(("low_pass", "must be 0 to 100 px^2"));
+        }
+        let is_distance = |reach: f32| reach > 0.0 && reach.is_finite();
+        match self.occluder_reach {
+            Some(reach) if !is_distance(reach) => Some(("occluder_reach", "must be above 0 and finite")),
+            _ => None,
+        }
+    }
 }
+
+/// Largest low-pass, px^2.
+const MAX_LOW_PASS: f32 = 100.0;
 
 impl Default for ShadingOptions {
     fn default() -> Self {
@@ -177,11 +192,33 @@ pub struct Model {
 pub struct ModelError {
     /// The array or option at fault.
     pub field: &'static str,
-    /// What is wrong.
+    /// The reason.
     pub reason: String,
 }
 
 impl Model {
+    /// A model in capture units with default shading. The environment has `width` times `height` raw texels and no separate lights.
+    pub fn new(
+        gaussians: Gaussians,
+        prototypes: Vec<[f32; 3]>,
+        env_raw: Vec<[f32; 3]>,
+        (width, height): (usize, usize),
+    ) -> Self {
+        Self {
+            gaussians,
+            prototypes,
+            env_raw,
+            env_width: width,
+            env_height: height,
+            lights: LightSplit::default(),
+            shading: ShadingOptions::default(),
+            world_scale: 1.0,
+            world_offset: DVec3::ZERO,
+            framing: None,
+            card: serde_json::Value::Null,
+        }
+    }
+
     /// The recovered environment as radiance (softplus of the raw values).
     pub fn environment(&self) -> EnvMap {
         let texels = self.env_raw.iter().map(|t| t.map(softplus)).collect();
@@ -217,6 +254,9 @@ impl Model {
         }
         if self.env_raw.len() != self.env_width * self.env_height || self.env_raw.is_empty() {
             return err("environment", "its size does not fit its texels");
+        }
+        if let Some((field, reason)) = self.shading.fault() {
+            return err(field, reason);
         }
         if let Some(reason) = self.lights.fault(self.env_raw.len()) {
             return err("lights", reason);

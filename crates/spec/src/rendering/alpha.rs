@@ -10,7 +10,7 @@ pub enum AlphaMode {
     /// because it is a measurement.
     #[default]
     Premultiplied,
-    /// Colours are not multiplied by alpha.
+    /// Colours are not multiplied by alpha: the colour of the covered part of a pixel, at any coverage.
     Straight,
 }
 

@@ -11,7 +11,7 @@ use relume_scene::srgb;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, Default, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ToneCurve {
-    /// Clamped to 1, sRGB curve. Figures are measured with this curve.
+    /// Clamped to 1, sRGB curve. Evaluations use this curve.
     #[default]
     Srgb,
     /// Compresses highlights without a hue shift (Khronos PBR Neutral). Colours below 0.76 are unchanged
@@ -60,8 +60,8 @@ fn neutral(colour: [f32; 3]) -> [f32; 3] {
     if peak < START {
         return colour;
     }
-    let room = 1.0 - START;
-    let lower = 1.0 - room * room / (peak + room - START);
+    let headroom = 1.0 - START;
+    let lower = 1.0 - headroom * headroom / (peak + headroom - START);
     let pale = 1.0 - 1.0 / (DESATURATION * (peak - lower) + 1.0);
     // The ratio first: the product with a peak near the largest float would overflow.
     colour.map(|v| v / peak * lower * (1.0 - pale) + lower * pale)

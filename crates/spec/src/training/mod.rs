@@ -8,6 +8,8 @@ mod group;
 mod known_light;
 mod method;
 mod reference;
+#[cfg(test)]
+mod settings_page;
 mod shading;
 mod weights;
 mod white_balance;
@@ -24,7 +26,7 @@ pub use error::ConfigError;
 pub use grey_card::GreyCard;
 pub use known_light::{Auto, KnownLight, LightExposure, MAX_STOPS};
 pub use method::Method;
-pub use reference::{Setting, settings, settings_page};
+pub use reference::{Setting, settings};
 pub use shading::ShadingChanges;
 pub use weights::{LearningRateChanges, LearningRates, LossWeightChanges, LossWeights};
 pub use white_balance::{NamedBalance, WhiteBalance};
@@ -137,6 +139,15 @@ macro_rules! settings {
                 })+
             }
 
+            /// The value of a setting that is no group, as JSON.
+            #[cfg(test)]
+            fn value_of(&self, name: &str) -> Option<serde_json::Value> {
+                match name {
+                    $(stringify!($name) => serde_json::to_value(&self.$name).ok(),)+
+                    _ => None,
+                }
+            }
+
             fn check_ranges(&self) -> Result<(), ConfigError> {
                 $($(check_range(stringify!($name), self.$name, $range)?;)?)+
                 Ok(())
@@ -175,7 +186,8 @@ settings! {
     densify_until: f32 = 0.6, in 0.0..=1.0;
     /// Share of the steps at half resolution, 0 to 1.
     half_resolution: f32 = 0.15, in 0.0..=1.0;
-    /// Source of the visibility labels.
+    /// Source of the visibility labels: `none`, `backward` (transmittance along camera rays), `probes`
+    /// (transmittance over the sphere) or `both`.
     labels: LabelSource = LabelSource::Probes;
     /// Number of probe directions, 8 to 1024.
     probe_directions: u32 = 96, in 8..=1024;
@@ -275,13 +287,19 @@ fn range_text(range: &RangeInclusive<impl Display>) -> String {
     format!("{} to {}", range.start(), range.end())
 }
 
-/// Checks that every number of `group` is in 0 to 1000.
+/// Accepted range of weights and step sizes.
+const GROUP_RANGE: RangeInclusive<f64> = 0.0..=1e3;
+
+/// Checks that every number of `group` is in [`GROUP_RANGE`].
 fn check_group(name: &str, group: &impl Serialize) -> Result<(), ConfigError> {
     let fields = serde_json::to_value(group).unwrap_or_default();
     for (field, value) in fields.as_object().into_iter().flatten() {
         // A non-finite float serialises as null.
-        if !value.as_f64().is_some_and(|v| (0.0..=1e3).contains(&v)) {
-            return Err(ConfigError::new(format!("{name}.{field}"), "must lie in 0 to 1000"));
+        if !value.as_f64().is_some_and(|v| GROUP_RANGE.contains(&v)) {
+            return Err(ConfigError::new(
+                format!("{name}.{field}"),
+                format!("must be {}", range_text(&GROUP_RANGE)),
+            ));
         }
     }
     Ok(())
@@ -373,6 +391,9 @@ impl TrainConfig {
             return Err(ConfigError::new(format!("light_rotation_per_photo.{name}"), "must be finite"));
         }
         self.check_ranges()?;
+        if let Some((field, reason)) = self.shading.fault() {
+            return Err(ConfigError::new(format!("shading.{field}"), reason));
+        }
         check_group("weights", &self.weights)?;
         check_group("rates", &self.rates)
     }

@@ -18,11 +18,12 @@ changes! {
         normal: NormalForm = "shortest_axis";
         /// Indirect light: `gathered`, `learned` or `off`.
         indirect: IndirectForm = "gathered";
-        /// Screen-space low-pass added to the projected covariance, px^2.
+        /// Screen-space low-pass added to the projected covariance, 0 to 100 px^2.
         low_pass: f32 = 0.3;
-        /// Whether opacity compensates the low-pass, so that it does not change the total weight of a splat (Mip-Splatting).
+        /// Whether opacity compensates for the low-pass, so that it does not change the total weight of a splat (Mip-Splatting).
+        /// Without it, splats become too wide in small images.
         low_pass_compensation: bool = true;
-        /// Maximum distance of an occluder, world units. Omitted: any distance; for captures without masks, a distance that the
+        /// Maximum distance of an occluder, above 0, world units. Omitted: any distance; for captures without masks, a distance that the
         /// training chooses.
         occluder_reach: f32;
         /// True: images are clamped and sRGB-encoded. False: images are only clamped.

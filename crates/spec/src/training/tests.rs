@@ -44,7 +44,14 @@ fn values_out_of_range_are_refused_by_field() {
     assert_eq!(share.to_string(), "warm_up: NaN is outside 0 to 1");
     let rates = LearningRates { mean: f32::INFINITY, ..Default::default() };
     let rate = refused(TrainOverrides { rates: Some(rates.into()), ..Default::default() });
-    assert_eq!(rate.to_string(), "rates.mean: must lie in 0 to 1000");
+    assert_eq!(rate.to_string(), "rates.mean: must be 0 to 1000");
+    let shading = |json: &str| refused(serde_json::from_str(json).unwrap()).to_string();
+    assert_eq!(shading(r#"{"shading": {"low_pass": -5}}"#), "shading.low_pass: must be 0 to 100 px^2");
+    assert_eq!(shading(r#"{"shading": {"low_pass": 1e39}}"#), "shading.low_pass: must be 0 to 100 px^2");
+    let reach = "shading.occluder_reach: must be above 0 and finite";
+    for wrong in ["-1", "0", "1e39"] {
+        assert_eq!(shading(&format!(r#"{{"shading": {{"occluder_reach": {wrong}}}}}"#)), reach);
+    }
     let unknown = serde_json::from_str::<TrainOverrides>(r#"{"iterration": 5}"#).unwrap_err();
     assert!(unknown.to_string().contains("iterration"));
 }
