@@ -2,7 +2,8 @@
 //!
 //! This package is the service and the command line. The crates below it, one sentence for each:
 //!
-//! - [`scene`]: what a relightable model is, as plain data; `scene::light`: harmonics, BRDF tables, operators on environments.
+//! - [`scene`]: the data of a relightable model; `scene::light`: harmonics, BRDF tables, operators on
+//!   environments.
 //! - [`spec`]: settings of trainings and frames.
 //! - [`capture`]: importers from archives and folders to posed images; `capture::formats`: image and model files.
 //! - [`engine`]: the differentiable renderer on the CPU and on the GPU.
@@ -11,18 +12,20 @@
 //!
 //! The modules of this package, one sentence for each:
 //!
-//! - `traces`: which trace a span belongs to, as a W3C `traceparent`.
+//! - `traces`: the trace of a span, as a W3C `traceparent`.
 //! - `camera_path`: camera paths in JSON.
 //! - `store`: metadata in a database and artifacts in an object store.
 //! - `jobs`: the job state machine, leases and events.
-//! - `worker`: takes jobs from the queue, renders frames, stores checkpoints.
-//! - `remote_worker`: a worker with a process of its own, over the API.
+//! - `worker`: claims jobs from the queue, renders frames, stores checkpoints.
+//! - `remote_worker`: a worker in a separate process, which uses only the API.
 //! - `server`: the HTTP service.
 //! - `testing`: starts a server on a free port for your own tests.
 //! - `cli`: the command line.
 //!
-//! What most programs need stands at the root: [`import`] a [`Capture`], train it with a [`Trainer`] on a [`Device`], render
-//! the [`Model`] with a [`Renderer`]. A program without the service depends on `relume-train` or `relume-client` alone.
+//! The root re-exports what most programs need: [`import`] reads a [`Capture`], a [`Trainer`] trains on it on
+//! a [`Device`], and a [`Renderer`] renders the [`Model`]. A program that does not run the service can depend
+//! on `relume-train` or `relume-client` alone. `cli`, `jobs` and `store` are public only for the tests and
+//! benchmarks of this repository and may change with any version.
 
 mod camera_path;
 #[doc(hidden)]

@@ -65,8 +65,7 @@ pub(super) fn views(json: &Value, world: Option<&NerfstudioWorld>) -> Result<Vec
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DVec4;
-    use glam::{DMat3, DVec3};
+    use glam::{DMat3, DVec3, DVec4};
     use serde_json::json;
 
     #[test]

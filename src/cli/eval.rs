@@ -10,8 +10,7 @@ use crate::cli::error::CommandResult;
 use crate::cli::light::read_rotations;
 use crate::cli::{input, output};
 use relume_capture::{Capture, ImportOptions, import};
-use relume_engine::Device;
-use relume_engine::DeviceChoice;
+use relume_engine::{Device, DeviceChoice};
 use relume_train::eval::{EvalOptions, Lpips, contact_sheet, evaluate};
 
 /// Side of a cell of the contact sheet, pixels.
@@ -43,7 +42,7 @@ pub struct EvalArgs {
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=8192))]
     pub resolution: Option<u32>,
     /// Rotations of the light in single photographs, as for `train`.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long = "light-rotation-file", alias = "light-rotations", value_name = "FILE")]
     pub light_rotations: Option<PathBuf>,
     /// Device: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value_t)]

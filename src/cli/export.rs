@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::cli::args::named;
 use crate::cli::error::CommandResult;
-use crate::cli::light::named_light;
+use crate::cli::light::illumination;
 use crate::cli::render::{finite, up_to};
 use crate::cli::{input, output};
 use relume_scene::Model;
@@ -31,10 +31,11 @@ pub(super) struct ExportArgs {
     #[arg(long, value_parser = named::<ExportedColour>)]
     layer: Option<ExportedColour>,
     /// The light of `relit`: a `.hdr` or `.exr` file, the name of a built-in map, or `recovered`.
-    #[arg(long)]
+    #[arg(long, alias = "environment")]
     env: Option<String>,
     /// Rotation of this light about +Z, degrees counter-clockwise.
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite, requires = "env")]
+    #[arg(long, alias = "environment-rotation", default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite,
+          requires = "env")]
     rotation: f64,
     /// Exposure of this light, stops, -20 to 20.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = up_to::<20>, requires = "env")]
@@ -78,10 +79,7 @@ impl ExportArgs {
 
     /// The model with its colours under the requested light.
     fn relit(&self, model: Model) -> CommandResult<Model> {
-        let light = match self.env.as_deref() {
-            None | Some("recovered") => model.recovered_light(),
-            Some(name) => named_light(name, "recovered ")?.into(),
-        };
+        let light = illumination(self.env.as_deref().unwrap_or("recovered"), &model)?;
         let light = light.rotated_and_scaled(self.rotation, self.exposure.exp2() as f32);
         Ok(relit(model, light, self.relit_degree as usize)?)
     }

@@ -53,7 +53,7 @@ struct CreateArgs {
     #[arg(long, default_value = "default")]
     tenant: String,
     /// Scopes of the key, separated by commas: `read`, `render`, `submit`, `admin`, `priority`; in the tenant `default` also
-    /// `metrics`.
+    /// `metrics` and `work`.
     #[arg(long, value_delimiter = ',', default_value = "read,render,submit")]
     scopes: Vec<Scope>,
     /// Days until the key expires. Default: never.

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use relume_capture::formats::environment;
 use relume_capture::{BUILTIN, Capture, builtin};
-use relume_scene::EnvMap;
+use relume_scene::{EnvMap, Illumination, Model};
 use relume_spec::training::TrainConfig;
 
 /// A built-in map, or the contents of a `.hdr` or `.exr` file. The error lists the allowed names; `others` are additional names
@@ -23,6 +23,14 @@ pub(super) fn named_light(name: &str, others: &str) -> Result<EnvMap, String> {
         eprintln!("warning: {name}: {warning}");
     }
     Ok(loaded.map)
+}
+
+/// The light with a name: `recovered`, or as [`named_light`].
+pub(super) fn illumination(name: &str, model: &Model) -> Result<Illumination, String> {
+    match name {
+        "recovered" => Ok(model.recovered_light()),
+        name => Ok(named_light(name, "recovered ")?.into()),
+    }
 }
 
 /// Reads rotations of the light per photograph, degrees, from a JSON object.

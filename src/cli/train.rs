@@ -14,11 +14,9 @@ use crate::cli::setting_flags::SettingFlags;
 use crate::cli::stop::StopSignal;
 use relume_capture::formats::model_file;
 use relume_capture::{Capture, ImportLimits};
-use relume_engine::Device;
-use relume_engine::DeviceChoice;
-use relume_spec::training::GreyCard;
+use relume_engine::{Device, DeviceChoice};
 use relume_spec::training::{
-    Crop, KnownLight, LightExposure, Method, Preset, TrainConfig, TrainOverrides, WhiteBalance,
+    Crop, GreyCard, KnownLight, LightExposure, Method, Preset, TrainConfig, TrainOverrides, WhiteBalance,
 };
 use relume_train::{MemoryBudget, MemoryEstimate, PhotographSizes, Trainer, import_for_training};
 

@@ -13,14 +13,12 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use relume_capture::{Capture, CaptureView, GroundTruthView, SceneBounds};
-use relume_engine::Device;
-use relume_engine::cpu::{AttributeSource, BranchImages, Pass, Probes, SurfaceShader};
+use relume_engine::cpu::{AttributeSource, BranchImages, Pass, Probes};
+use relume_engine::{Device, SurfaceShader};
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables, TableResolution, rendering_tables};
-use relume_scene::{
-    BitDepth, Camera, EnvMap, Field, Gaussians, ImageRgba, Model, PackedImage, ShadingOptions,
-};
+use relume_scene::{BitDepth, Camera, EnvMap, Field, Gaussians, ImageRgba, Model, PackedImage};
 use relume_spec::rendering::{Output, Tier};
 use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
 use relume_train::Trainer;
@@ -51,19 +49,7 @@ fn model() -> &'static Model {
             g.row_mut(Field::LogScale, i).copy_from_slice(&[s, s + 0.3, s - 1.5]);
             g.row_mut(Field::OpacityLogit, i)[0] = 3.0 * rng.random::<f32>();
         }
-        Model {
-            gaussians: g,
-            prototypes: (0..16).map(|k| [k as f32 / 16.0, 0.5, 0.3]).collect(),
-            env_raw: vec![[0.3; 3]; 512],
-            env_width: 32,
-            env_height: 16,
-            lights: Default::default(),
-            shading: ShadingOptions::default(),
-            world_scale: 1.0,
-            world_offset: DVec3::ZERO,
-            framing: None,
-            card: serde_json::Value::Null,
-        }
+        Model::new(g, (0..16).map(|k| [k as f32 / 16.0, 0.5, 0.3]).collect(), vec![[0.3; 3]; 512], (32, 16))
     })
 }
 
@@ -74,13 +60,8 @@ fn camera(side: u32) -> Camera {
 fn source() -> AttributeSource<'static> {
     let m = model();
     let source = AttributeSource {
-        gaussians: &m.gaussians,
-        prototypes: &m.prototypes,
-        options: &m.shading,
-        gathered: &[],
-        arriving: &[],
         indirect_basis: &NO_BASIS,
-        light: None,
+        ..AttributeSource::new(&m.gaussians, &m.prototypes, &m.shading)
     };
     source.under(shader())
 }

@@ -8,17 +8,16 @@ use rand_chacha::ChaCha8Rng;
 use relume_compare::{largest_difference, relative_error, worst};
 
 use crate::BoxError;
-use relume_engine::Device;
 use relume_engine::cpu::objective::image::Target;
 use relume_engine::gpu::objective::{ImageTerm, LOSS_SLOTS, LossSlot};
 use relume_engine::gpu::{CameraUniform, Gpu, photo_pixel};
-use relume_engine::{DeviceChoice, DeviceError, ImageWeights, RasterCamera};
+use relume_engine::{Device, DeviceChoice, DeviceError, ImageWeights, RasterCamera};
 use relume_reference::parity::{
     LightShape, ParityCase, ParityResult, cpu_result, gpu_result, reference_result, stable_pixels,
 };
 use relume_reference::{Array, Tape, losses};
 use relume_scene::light::TableResolution;
-use relume_scene::{Camera, Field, Gaussians, Model, ShadingOptions};
+use relume_scene::{Camera, Field, Gaussians, Model};
 
 const SIZE: (u32, u32) = (24, 16);
 const GAUSSIANS: usize = 24;
@@ -155,19 +154,12 @@ fn scene(kind: SceneKind, seed: u64) -> Result<(Model, Camera), BoxError> {
         let mut one = || centre + 0.4 * rng.random_range(-1.0f32..1.0);
         (0..count).map(|_| [one(), one(), one()]).collect()
     };
-    let model = Model {
-        prototypes: triples(4, 0.5),
-        env_raw: triples(ENVIRONMENT.0 * ENVIRONMENT.1, -0.6),
+    let model = Model::new(
         gaussians,
-        env_width: ENVIRONMENT.0,
-        env_height: ENVIRONMENT.1,
-        lights: Default::default(),
-        shading: ShadingOptions::default(),
-        world_scale: 1.0,
-        world_offset: DVec3::ZERO,
-        framing: None,
-        card: serde_json::Value::Null,
-    };
+        triples(4, 0.5),
+        triples(ENVIRONMENT.0 * ENVIRONMENT.1, -0.6),
+        (ENVIRONMENT.0, ENVIRONMENT.1),
+    );
     let distance = if kind == SceneKind::FarCamera { 1e5 } else { 3.0 };
     let (sine, cosine) = (seed as f64 * 1.3).sin_cos();
     let eye = DVec3::new(cosine, sine, 0.3).normalize() * distance;
@@ -183,15 +175,13 @@ fn measure(
     seed: u64,
 ) -> Result<[f64; STAGES.len()], BoxError> {
     let (model, camera) = scene(kind, seed)?;
-    let mut question = ParityCase::new(&model, &camera, [0.25, 0.5, 0.75], light, seed);
-    let kept = stable_pixels(&question, MARGIN);
-    question.keep(&kept);
-    let expected = reference_result(&question);
+    let mut case = ParityCase::new(&model, &camera, [0.25, 0.5, 0.75], light, seed);
+    let kept = stable_pixels(&case, MARGIN);
+    case.keep(&kept);
+    let expected = reference_result(&case);
     let (found, loss) = match device {
-        Device::Cpu => (cpu_result(&question), loss_gradient_cpu(&expected, seed)),
-        Device::Gpu(gpu) => {
-            (gpu_result(gpu, &question)?, loss_gradient_gpu(gpu, &question, &expected, seed)?)
-        }
+        Device::Cpu => (cpu_result(&case), loss_gradient_cpu(&expected, seed)),
+        Device::Gpu(gpu) => (gpu_result(gpu, &case)?, loss_gradient_gpu(gpu, &case, &expected, seed)?),
     };
     let [mean, conic] = projection_errors(&found, &expected);
     let steady = |rows: &[[f64; 3]]| -> Vec<f64> {
@@ -211,7 +201,15 @@ fn measure(
         relative_error(&steady(&found.physical), &steady(&expected.physical)),
         relative_error(&loss, &loss_gradient_reference(&expected, seed)),
         gradients(&["means", "log_scales", "quats", "opacity_logit"]),
-        gradients(&["normals_raw", "metal_logit", "rough_logit", "proto_logits", "residual", "prototypes"]),
+        gradients(&[
+            "normals_raw",
+            "metal_logit",
+            "rough_logit",
+            "sheen",
+            "proto_logits",
+            "residual",
+            "prototypes",
+        ]),
         gradients(&["occ_sh", "radiance_sh", "env_raw"]),
     ])
 }
@@ -219,6 +217,9 @@ fn measure(
 /// Largest errors of the projected means, in image widths, and of the conics, relative to their largest entry.
 fn projection_errors(found: &ParityResult, expected: &ParityResult) -> [f64; 2] {
     let mut errors = [0.0f64; 2];
+    if found.splats.is_empty() && !expected.splats.is_empty() {
+        return [f64::INFINITY; 2];
+    }
     for theirs in &expected.splats {
         // The engine does not draw Gaussians that no pixel shows.
         let Ok(at) = found.splats.binary_search_by_key(&theirs.gaussian, |s| s.gaussian) else { continue };
@@ -237,8 +238,8 @@ fn photograph(seed: u64) -> Vec<[f32; 3]> {
 }
 
 /// The image for the image terms, the same for every engine.
-fn rendered(answer: &ParityResult) -> Vec<[f32; 3]> {
-    answer.physical.iter().map(|p| p.map(|v| v as f32)).collect()
+fn rendered(result: &ParityResult) -> Vec<[f32; 3]> {
+    result.physical.iter().map(|p| p.map(|v| v as f32)).collect()
 }
 
 fn loss_gradient_reference(expected: &ParityResult, seed: u64) -> Vec<f64> {
@@ -264,7 +265,7 @@ fn loss_gradient_cpu(expected: &ParityResult, seed: u64) -> Vec<f64> {
 
 fn loss_gradient_gpu(
     gpu: &Gpu,
-    question: &ParityCase<'_>,
+    case: &ParityCase<'_>,
     expected: &ParityResult,
     seed: u64,
 ) -> Result<Vec<f64>, DeviceError> {
@@ -277,7 +278,7 @@ fn loss_gradient_gpu(
     let partials = gpu.buffer("partials", 3 * pixels)?;
     let by_image = gpu.buffer("by image", pixels)?;
     let losses = gpu.buffer("losses", LOSS_SLOTS)?;
-    let view = CameraUniform::new(&RasterCamera::new(question.camera, &question.model.shading));
+    let view = CameraUniform::new(&RasterCamera::new(case.camera, &case.model.shading));
     let [l1, ssim] = IMAGE_WEIGHTS;
     let term = ImageTerm {
         camera: &view,

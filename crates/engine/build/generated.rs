@@ -5,10 +5,8 @@ use std::fmt::Write as _;
 use std::ops::Range;
 
 use relume_layout::channel::{self, Channels, GROUP, IncidentLight, OutgoingRadiance};
-use relume_layout::constants;
 use relume_layout::kernel_constants::{self, GRADIENT_HEADER, LossSlot};
-use relume_layout::light;
-use relume_layout::{Field, FieldWidth};
+use relume_layout::{Field, FieldWidth, constants, light};
 
 /// `const NAME = value;` for each constant of a module.
 macro_rules! list {

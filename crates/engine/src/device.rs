@@ -110,18 +110,20 @@ impl Device {
         }
     }
 
+    /// Prepares a checked model for rendering by the CPU engine.
+    pub fn cpu_frames(model: Arc<Model>) -> Arc<dyn FrameRenderer> {
+        Arc::new(cpu::CpuFrameRenderer::new(model))
+    }
+
     /// Prepares a checked model for rendering.
     ///
     /// # Errors
     /// When the model does not fit the device, or the device failed.
-    pub fn frames(&self, model: Arc<Model>) -> Result<FrameRenderer, DeviceError> {
+    pub fn frames(&self, model: Arc<Model>) -> Result<Arc<dyn FrameRenderer>, DeviceError> {
         match self {
-            Self::Cpu => Ok(FrameRenderer::on_cpu_only(model)),
+            Self::Cpu => Ok(Self::cpu_frames(model)),
             #[cfg(feature = "gpu")]
-            Self::Gpu(gpu) => {
-                let device = gpu::GpuFrameRenderer::new(gpu, &model)?;
-                Ok(FrameRenderer::beside(model, Box::new(device)))
-            }
+            Self::Gpu(gpu) => Ok(Arc::new(gpu::GpuFrameRenderer::new(gpu, cpu::HostModel::new(model))?)),
         }
     }
 }

@@ -1,10 +1,11 @@
-//! Images and measurements of a training state, without gradients. Decisions on the host use them.
+//! Images and measurements of a training state, without gradients, for the decisions of a training. The host computes them
+//! whichever device trains, so that both engines decide by the same code.
 
 use std::borrow::Cow;
 
-use crate::cpu::training::environment_radiance;
+use crate::cpu::training::{self, environment_radiance};
 use crate::cpu::{
-    self, AttributeSource, Pass, SurfaceShader, outward_normals, radiance_image, sky_irradiance, training,
+    self, AttributeSource, Pass, SurfaceShader, outward_normals, radiance_image, sky_irradiance,
 };
 use crate::step::{Branches, Photo};
 use crate::{LightRotation, LightRotations, NO_INDIRECT_BASIS, RasterCamera, TrainState, indirect_basis};

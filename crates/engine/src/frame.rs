@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::cpu::srgb;
+use crate::srgb;
 use relume_scene::Output;
 
 /// A rendered frame: each output row-major with its own channel count. Linear, scene-referred.

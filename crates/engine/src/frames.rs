@@ -1,114 +1,45 @@
-//! Interface between a renderer and an engine: a model on a device, lights prepared for it, and frames shaded from light
-//! tables.
+//! Interface between a renderer and an engine: a model on a device, and lights prepared for it.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
-use crate::frame_job::{DeviceLight, DeviceRenderer, FrameJob};
-use crate::{DeviceError, Frame, RayLight, cpu};
-use relume_scene::light::{LightTables, rendering_tables, split_tables, tables_of_split};
-use relume_scene::{Illumination, Model, ShadeAt};
+use crate::{ColourMode, DeviceError, Frame, FrameJob, HostLight, HostModel, RayLight};
+use relume_scene::Illumination;
 
-/// A model on its device. The CPU engine always holds the model as well, for computations on the host.
-pub struct FrameRenderer {
-    cpu: cpu::CpuFrameRenderer,
-    device: Option<Box<dyn DeviceRenderer>>,
-}
+/// A model on a device. Every device also has the model on the host.
+pub trait FrameRenderer: Send + Sync {
+    /// The model on the host.
+    fn host(&self) -> &Arc<HostModel>;
 
-/// A light prepared for a model on its device.
-pub struct FrameLight {
-    device: Option<DeviceLight>,
-    cpu: OnceLock<cpu::CpuFrameLight>,
-}
+    /// True unless frames are computed by the CPU engine.
+    fn is_gpu(&self) -> bool;
 
-impl FrameLight {
-    /// The light on the CPU engine; `None` where another device prepared it.
-    pub fn on_cpu(&self) -> Option<&cpu::CpuFrameLight> {
-        self.cpu.get()
-    }
-}
-
-impl FrameRenderer {
-    /// Prepares a checked model for the CPU engine.
-    pub fn on_cpu_only(model: Arc<Model>) -> Self {
-        Self { cpu: cpu::CpuFrameRenderer::new(model), device: None }
-    }
-
-    /// Wraps a checked model that `device` holds as well.
-    pub fn beside(model: Arc<Model>, device: Box<dyn DeviceRenderer>) -> Self {
-        Self { cpu: cpu::CpuFrameRenderer::new(model), device: Some(device) }
-    }
-
-    /// The model.
-    pub fn model(&self) -> &Model {
-        self.cpu.model()
-    }
-
-    /// True when a device other than the CPU engine holds the model.
-    pub fn has_device(&self) -> bool {
-        self.device.is_some()
-    }
-
-    /// The same model on the CPU engine.
-    pub fn on_cpu(&self) -> &cpu::CpuFrameRenderer {
-        &self.cpu
-    }
+    /// Greatest number of rows of a [`FrameJob`] of `width` pixels.
+    fn max_rows(&self, width: usize, colour: ColourMode) -> usize;
 
     /// Prepares `light` for this model, including interreflection between its surfaces.
     ///
     /// # Errors
     /// When the device failed.
-    pub fn prepare_light(&self, light: &Illumination) -> Result<FrameLight, DeviceError> {
-        let tables = self.tables(light);
-        Ok(match &self.device {
-            Some(device) => FrameLight { device: Some(device.prepare_light(&tables)?), cpu: OnceLock::new() },
-            None => FrameLight { device: None, cpu: OnceLock::from(self.cpu.prepare_light(tables)) },
-        })
-    }
+    fn prepare_light(self: Arc<Self>, light: &Illumination) -> Result<Box<dyn FrameLight>, DeviceError>;
+}
 
-    /// The light on the CPU engine; computed from `source` where another device prepared it.
-    pub fn light_on_cpu<'a>(&self, light: &'a FrameLight, source: &Illumination) -> &'a cpu::CpuFrameLight {
-        light.cpu.get_or_init(|| self.cpu.prepare_light(self.tables(source)))
-    }
-
-    /// Renders on the device.
+/// A light prepared for a model on its device.
+pub trait FrameLight: Send + Sync {
+    /// Renders a frame from light tables.
     ///
     /// # Errors
-    /// [`DeviceError::Misuse`] for a light of another device, otherwise when the device failed.
-    pub fn render(&self, job: &FrameJob<'_>, light: &FrameLight) -> Result<Frame, DeviceError> {
-        match (&self.device, &light.device, light.cpu.get()) {
-            (Some(device), Some(light), _) => device.render(job, light),
-            (None, None, Some(light)) => Ok(self.cpu.render(job, light)),
-            _ => Err(DeviceError::Misuse("the light was prepared for another device".to_owned())),
-        }
-    }
+    /// When the device failed.
+    fn render(&self, job: &FrameJob<'_>) -> Result<Frame, DeviceError>;
 
-    /// Renders on the device with light that is traced along rays. `rays` must belong to the environment from which `light` was
-    /// prepared.
+    /// Renders a frame with light that is traced along rays. `rays` must belong to the environment from which this light was
+    /// prepared, always with the same split: the device keeps their data.
     ///
     /// # Errors
     /// As [`Self::render`].
-    pub fn render_by_rays(
-        &self,
-        job: &FrameJob<'_>,
-        light: &FrameLight,
-        rays: &RayLight<'_>,
-    ) -> Result<Frame, DeviceError> {
-        match (&self.device, &light.device, light.cpu.get()) {
-            (Some(device), Some(light), _) => {
-                device.render_by_rays(job, light, rays, &|| self.cpu.occluders().tree())
-            }
-            (None, None, Some(light)) => Ok(self.cpu.render_by_rays(job, light, rays)),
-            _ => Err(DeviceError::Misuse("the light was prepared for another device".to_owned())),
-        }
-    }
+    fn render_by_rays(&self, job: &FrameJob<'_>, rays: &RayLight<'_>) -> Result<Frame, DeviceError>;
 
-    /// Tables of the environment and, for models shaded at their Gaussians, its dominant lights.
-    fn tables(&self, light: &Illumination) -> LightTables {
-        let (environment, sh_degree) = (&light.environment, self.model().gaussians.visibility_degree());
-        match (self.model().shading.shade_at, &light.split) {
-            (ShadeAt::Pixel, _) => rendering_tables(environment, sh_degree),
-            (ShadeAt::Gaussian, Some(split)) => tables_of_split(environment, split, sh_degree),
-            (ShadeAt::Gaussian, None) => split_tables(environment, sh_degree),
-        }
+    /// This light on the host; `None` unless the CPU engine prepared it.
+    fn on_host(&self) -> Option<&HostLight> {
+        None
     }
 }

@@ -3,13 +3,16 @@
 //!
 //! [`Device`] opens an engine. A trainer uses [`TrainingEngine`], a renderer uses [`FrameRenderer`].
 
+mod activation;
 pub mod adam;
 mod adapter;
 mod camera;
 pub mod cpu;
 mod density;
 mod device;
+mod display;
 mod error;
+pub mod evaluation;
 mod frame;
 mod frame_job;
 mod frames;
@@ -26,14 +29,17 @@ mod step;
 mod training;
 mod zeros;
 
+pub use activation::{sigmoid, sigmoid_derivative, softmax};
 pub use adam::{StepCounts, StepSizes};
 pub use adapter::{AdapterReport, DeviceChoice, choose_adapter};
 pub use camera::RasterCamera;
+pub use cpu::{HostLight, HostModel, OccluderBvh, Surface, SurfaceEdit, SurfaceShader, VisibleSurface};
 pub use density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin};
 pub use device::{Device, adapters};
+pub use display::{linear_from_srgb, srgb, srgb_derivative};
 pub use error::DeviceError;
 pub use frame::Frame;
-pub use frame_job::{BOUNCES, ColourMode, DeviceLight, DeviceRenderer, FrameJob, PROBE_DIRECTIONS};
+pub use frame_job::{BOUNCES, ColourMode, FrameJob, PROBE_DIRECTIONS};
 pub use frames::{FrameLight, FrameRenderer};
 pub use gradients::{Gradients, RowLayout};
 pub use indirect::{NO_INDIRECT_BASIS, indirect_basis, indirect_basis_backward};

@@ -45,25 +45,25 @@ impl LightRotations {
     /// `MAX_LIGHT_ROTATIONS` different rotations, gathered light is measured at multiples of 1/16 of a full turn.
     pub fn of(degrees: &[f64]) -> (Self, Vec<LightRotation>) {
         let radians: Vec<f64> = degrees.iter().map(|d| d.rem_euclid(360.0).to_radians()).collect();
-        let mut stands: Vec<f64> = radians.clone();
+        let mut grouped: Vec<f64> = radians.clone();
         let different = |rotations: &mut Vec<f64>| {
             rotations.sort_by(f64::total_cmp);
             rotations.dedup();
         };
-        let mut blocks = stands.clone();
+        let mut blocks = grouped.clone();
         different(&mut blocks);
         if blocks.len() > MAX_LIGHT_ROTATIONS {
             let step = TAU / MAX_LIGHT_ROTATIONS as f64;
             let near = |turn: &f64| (turn / step).round() % MAX_LIGHT_ROTATIONS as f64 * step;
-            stands = radians.iter().map(near).collect();
-            blocks.clone_from(&stands);
+            grouped = radians.iter().map(near).collect();
+            blocks.clone_from(&grouped);
             different(&mut blocks);
         }
-        let place = |(radians, stand): (&f64, &f64)| LightRotation {
+        let rotation = |(radians, group): (&f64, &f64)| LightRotation {
             radians: *radians,
-            block: blocks.partition_point(|block| block < stand),
+            block: blocks.partition_point(|block| block < group),
         };
-        let rotations: Vec<LightRotation> = radians.iter().zip(&stands).map(place).collect();
+        let rotations: Vec<LightRotation> = radians.iter().zip(&grouped).map(rotation).collect();
         if rotations.is_empty() {
             return (Self::default(), rotations);
         }

@@ -62,7 +62,7 @@ pub trait TrainingEngine: Send {
     /// Current number of Gaussians.
     fn gaussians(&self) -> usize;
 
-    /// A copy of the training state on the host.
+    /// The training state on the host: borrowed from the CPU engine, copied from any other device.
     fn state(&self) -> Result<Cow<'_, TrainState>, DeviceError>;
 
     /// Name of the engine, for the model card.

@@ -26,7 +26,7 @@ pub struct ReferenceModel {
 pub struct ReferenceModelError {
     /// Name of the parameter.
     pub name: &'static str,
-    /// What is wrong with it.
+    /// The reason.
     pub reason: String,
 }
 

@@ -35,7 +35,7 @@ const MAX_PRINCIPAL_POINT: f64 = 1e9;
 pub struct CameraError {
     /// The field at fault, e.g. `transform_matrix` or `fov_y_deg`.
     pub field: &'static str,
-    /// What is wrong with it.
+    /// The reason.
     pub reason: String,
 }
 

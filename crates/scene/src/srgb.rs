@@ -24,7 +24,7 @@ pub fn to_u8(x: f32) -> u8 {
     (x * 255.0 + 0.5) as u8
 }
 
-/// Number of low bits in which the numbers of a bucket differ.
+/// Number of low bits of an f32 in which the numbers of a bucket differ.
 const WITHIN: u32 = 16;
 /// Smaller numbers have level 0.
 const MIN_BUCKETED: f32 = 1.0 / 8192.0;

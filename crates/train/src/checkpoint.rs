@@ -204,23 +204,16 @@ mod tests {
     use rand::SeedableRng;
 
     use super::*;
-    use relume_scene::{LightSplit, Model, ShadingOptions, SplitLight};
+    use relume_scene::{LightSplit, Model, SplitLight};
     use relume_spec::training::Preset;
 
     fn state() -> TrainState {
-        TrainState::new(Model {
-            gaussians: Gaussians::zeroed(3, 2, 1, 0),
-            prototypes: vec![[0.5; 3]; 2],
-            env_raw: vec![[0.5; 3]; 8],
-            env_width: 4,
-            env_height: 2,
-            lights: LightSplit::default(),
-            shading: ShadingOptions::default(),
-            world_scale: 1.0,
-            world_offset: glam::DVec3::ZERO,
-            framing: None,
-            card: serde_json::Value::Null,
-        })
+        TrainState::new(Model::new(
+            Gaussians::zeroed(3, 2, 1, 0),
+            vec![[0.5; 3]; 2],
+            vec![[0.5; 3]; 8],
+            (4, 2),
+        ))
     }
 
     #[test]

@@ -1,8 +1,7 @@
 //! Inputs of the decisions during a training: configuration, light operators, capture properties.
 
 use crate::schedule;
-use relume_engine::cpu::evaluation;
-use relume_engine::{Branches, LightRotations, Photo, TrainState};
+use relume_engine::{Branches, LightRotations, Photo, TrainState, evaluation};
 use relume_scene::light::EnvOperators;
 use relume_spec::training::TrainConfig;
 

@@ -9,8 +9,7 @@ use rayon::prelude::*;
 
 use crate::context::StepContext;
 use crate::dataset::{Dataset, Gain};
-use relume_engine::cpu::linear_from_srgb;
-use relume_engine::{Photo, PhotoSize, TrainState};
+use relume_engine::{Photo, PhotoSize, TrainState, linear_from_srgb};
 use relume_scene::Plane;
 
 /// Longest side of the images that are compared, pixels.

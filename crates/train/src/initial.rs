@@ -124,7 +124,7 @@ fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng)
         let step = (capture.points.len() as f64 / wanted as f64).max(1.0);
         let count = capture.points.len().min(wanted);
         let pick = |i: usize| &capture.points[(i as f64 * step) as usize];
-        let display = |c: [f32; 3]| c.map(|v| relume_engine::cpu::srgb(v.clamp(0.0, 1.0)));
+        let display = |c: [f32; 3]| c.map(|v| relume_engine::srgb(v.clamp(0.0, 1.0)));
         (0..count).map(|i| (in_model(pick(i).0), display(pick(i).1))).collect()
     } else if hull.is_empty() {
         seeds_along_rays(data, wanted, rng)

@@ -6,7 +6,7 @@
 
 use glam::{DMat3, DVec3};
 
-use relume_engine::cpu::{linear_from_srgb, sigmoid};
+use relume_engine::{linear_from_srgb, sigmoid};
 use relume_scene::light::LightColour;
 use relume_scene::{Field, Gaussians};
 
@@ -100,8 +100,7 @@ fn least_axis(matrix: DMat3) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use relume_engine::cpu::srgb;
-    use relume_engine::fibonacci_sphere;
+    use relume_engine::{fibonacci_sphere, srgb};
 
     /// Surfaces with the colours `bodies` in turn under `light`, each with a highlight in its own direction.
     fn scene(bodies: &[[f32; 3]], light: [f32; 3], highlight: f32) -> Gaussians {

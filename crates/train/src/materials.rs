@@ -1,8 +1,7 @@
 //! Initial values and restarts of the materials: albedo from the colours of the radiance branch, with the shading
 //! divided out.
 
-use relume_engine::cpu::{evaluation, linear_from_srgb, sigmoid};
-use relume_engine::{LightRotations, TrainState};
+use relume_engine::{LightRotations, TrainState, evaluation, linear_from_srgb, sigmoid};
 use relume_scene::light::{EnvOperators, LightColour, UPWARD_LUMINANCE};
 use relume_scene::{Field, Gaussians};
 
@@ -142,8 +141,8 @@ fn k_means(points: &[([f32; 3], f32)], k: usize) -> Vec<[f32; 3]> {
 mod tests {
     use super::*;
     use relume_compare::{largest_difference, worst};
-    use relume_engine::cpu::{AttributeSource, srgb};
-    use relume_engine::fibonacci_sphere;
+    use relume_engine::cpu::AttributeSource;
+    use relume_engine::{fibonacci_sphere, srgb};
     use relume_scene::light::TableResolution;
     use relume_scene::{Model, ShadingOptions, VisibilityForm, softplus_inverse, texel_directions};
     use relume_spec::training::{Preset, TrainConfig};
@@ -170,17 +169,13 @@ mod tests {
             .map(|(d, _)| [softplus_inverse(1.0 + along(slope, d.as_vec3().to_array())); 3]);
         let shading = ShadingOptions { visibility: VisibilityForm::Off, ..config.shading };
         let mut model = Model {
-            gaussians: Gaussians::zeroed(normals.len(), 2, 0, 0),
-            prototypes: vec![[0.5; 3]; 2],
-            env_raw: sky.collect(),
-            env_width: columns,
-            env_height: rows,
-            lights: Default::default(),
             shading,
-            world_scale: 1.0,
-            world_offset: Default::default(),
-            framing: None,
-            card: serde_json::Value::Null,
+            ..Model::new(
+                Gaussians::zeroed(normals.len(), 2, 0, 0),
+                vec![[0.5; 3]; 2],
+                sky.collect(),
+                (columns, rows),
+            )
         };
         for (i, n) in normals.iter().enumerate() {
             // E = pi (1 + 2/3 slope . n) under a sky of 1 + slope . d.
@@ -201,15 +196,7 @@ mod tests {
     /// Largest error of any Gaussian's albedo.
     fn albedo_error(state: &TrainState) -> f64 {
         let Model { gaussians, prototypes, shading, .. } = &state.model;
-        let source = AttributeSource {
-            gaussians,
-            prototypes,
-            options: shading,
-            gathered: &[],
-            arriving: &[],
-            indirect_basis: &[[0.0; 3]; 16],
-            light: None,
-        };
+        let source = AttributeSource::new(gaussians, prototypes, shading);
         worst((0..gaussians.len()).map(|i| largest_difference(&source.albedo(i), &COLOURS[i % 2])))
     }
 

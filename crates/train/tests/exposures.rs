@@ -2,8 +2,7 @@
 
 use relume_capture::{Capture, SyntheticOptions, synthetic};
 use relume_engine::Device;
-use relume_scene::srgb;
-use relume_scene::{BitDepth, Model, PackedImage};
+use relume_scene::{BitDepth, Model, PackedImage, srgb};
 use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
 use relume_train::Trainer;
 

@@ -1,13 +1,12 @@
-//! The GPU engine against the CPU engine from outside: the same frames, the same training, the same files.
+//! The GPU engine against the CPU engine through the public interface: equal frames, trainings and files.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 
 use relume_capture::{Capture, SyntheticOptions, synthetic};
 use relume_compare::{difference, largest_difference};
-use relume_engine::Device;
 use relume_engine::gpu::{Adapters, Gpu, GpuOptions};
-use relume_engine::{DeviceChoice, DeviceError};
+use relume_engine::{Device, DeviceChoice, DeviceError};
 use relume_scene::{EnvMap, Field, Model};
 use relume_spec::rendering::{Output, Quality, Tier};
 use relume_spec::training::{
@@ -46,7 +45,7 @@ fn finish(trainer: &mut Trainer) -> Vec<f32> {
     support::finish(trainer).into_iter().map(|report| report.loss).collect()
 }
 
-/// A model with everything in it: some steps of a training.
+/// A model with all features, after some steps of a training.
 fn model() -> Arc<Model> {
     static MODEL: OnceLock<Arc<Model>> = OnceLock::new();
     let made = MODEL.get_or_init(|| {
@@ -83,16 +82,16 @@ fn every_output_of_every_tier_matches_the_cpu_engine() {
         (Tier::Preview, &all[..1]),
         (Tier::Preview, &all[..3]),
         (Tier::High, &all[..]),
-        // What is sampled is not the same from engine to engine (tests/gpu_rays.rs), the rest of the frame is.
+        // The engines draw different samples (tests/gpu_rays.rs compares them); the other outputs are equal.
         (Tier::MonteCarlo, &[&all[1..8], &all[10..]].concat()),
     ] {
         let expected = cpu.render(camera, &lights.0, tier, outputs).unwrap();
         let found = gpu.render(camera, &lights.1, tier, outputs).unwrap();
         assert!(expected.planes.keys().eq(found.planes.keys()));
         for (output, plane) in &expected.planes {
-            // The depth of nothing is infinite on both sides.
+            // The depth of an empty pixel is infinite in both frames.
             let error = largest_difference(plane, &found.planes[output]);
-            // A pixel's normal may tip over where two surfaces blend to nothing.
+            // A pixel's normal may flip where the normals of two surfaces cancel.
             assert!(error < 2e-3, "{tier:?} {output:?}: {error}");
         }
     }
@@ -111,7 +110,7 @@ fn open_again(options: GpuOptions) -> Gpu {
     Gpu::open(&Adapters::find(), shared.report().index, options).unwrap()
 }
 
-/// The same, opened as if it could bind no more than `bytes`.
+/// The same adapter, opened as if it could bind at most `bytes`.
 fn narrow_device(bytes: u64) -> Device {
     let options = GpuOptions { binding_limit: Some(bytes), ..GpuOptions::from_env() };
     Device::Gpu(open_again(options))
@@ -123,13 +122,21 @@ fn large_image_rendered_in_bands_has_no_seam() {
     let narrow = narrow_device(4 << 20);
     let renderers = [Renderer::on(model(), gpu_device()).unwrap(), Renderer::on(model(), &narrow).unwrap()];
     let camera = capture().test[0].camera.resized(256, 256);
+    let mut bands = Vec::new();
     let frames = renderers.map(|r| {
         let light = r.prepare_light(EnvMap::constant(8, 4, [1.0; 3])).unwrap();
-        r.render(&camera, &light, Tier::Standard, &[Output::Rgb, Output::Depth]).unwrap()
+        let outputs = [Output::Rgb, Output::Depth];
+        let mut frame = r.bands(&camera, &light, Tier::Standard.into(), &outputs).unwrap();
+        bands.push(1);
+        while frame.render_next().unwrap() {
+            *bands.last_mut().unwrap() += 1;
+        }
+        frame.into_frame()
     });
+    assert!(bands[0] == 1 && bands[1] > 1, "{bands:?}");
     for (output, plane) in &frames[0].planes {
-        // Projected means round differently in a band, and a splat at the threshold of alpha is then in or out: here
-        // and there a pixel by less than that threshold. A seam would be a row, one in 256.
+        // Projected means round differently in a band, so a splat at the threshold of alpha may count or not:
+        // single pixels differ by less than that threshold. A seam would be a whole row, one in 256.
         let other = &frames[1].planes[output];
         let pairs = plane.iter().zip(other);
         let apart = pairs.filter(|(a, b)| difference((**a).into(), (**b).into()) > 1e-4).count();
@@ -137,6 +144,12 @@ fn large_image_rendered_in_bands_has_no_seam() {
         if *output != Output::Depth {
             assert!(largest_difference(plane, other) < 1.0 / 255.0, "{output:?}");
         }
+        // The control: a seam, one row that shows the row above it.
+        let row = plane.len() / 256;
+        let mut seam = plane.clone();
+        seam.copy_within(127 * row..128 * row, 128 * row);
+        let apart = plane.iter().zip(&seam).filter(|(a, b)| difference((**a).into(), (**b).into()) > 1e-4);
+        assert!(apart.count() * 1000 > plane.len(), "{output:?}: the control");
     }
 }
 
@@ -156,7 +169,7 @@ fn concurrent_frames_match_single_threaded_frames() {
     };
     let lone = Renderer::on(model(), gpu_device()).unwrap();
     let light = lone.prepare_light(sun()).unwrap();
-    // Fresh: the lists of its first views are short.
+    // A new renderer: the tile lists of its first views are too short.
     let shared = Renderer::on(model(), gpu_device()).unwrap();
     let shared_light = shared.prepare_light(sun()).unwrap();
     std::thread::scope(|scope| {
@@ -199,11 +212,13 @@ fn first_training_steps_match_the_cpu_engine() {
         light: Some(0.01),
         ..Default::default()
     });
-    // Adam's first step takes a texel without any gradient but rounding as far as all others: small steps of the light.
+    // Adam's first step moves a texel whose gradient is only rounding as far as all others, so the steps of
+    // the light are small.
     let overrides = || {
         let rates = LearningRateChanges { environment: Some(0.01), ..Default::default() };
-        // Without compensation: it thins the small splats of a start until their gradients are next to nothing, and this
-        // test counts signs. Its own gradients are held to f64 in the engine's tests.
+        // Without compensation, which reduces the opacity of the small initial splats until their gradients
+        // almost vanish, while this test depends on signs. The engine's tests compare the gradients of
+        // compensation with f64.
         let shading = ShadingChanges { low_pass_compensation: Some(false), ..Default::default() };
         TrainOverrides { rates: Some(rates), shading: Some(shading), ..overrides() }
     };
@@ -234,22 +249,23 @@ fn first_training_steps_match_the_cpu_engine() {
         let (a, b) = (losses(&mut on_cpu), losses(&mut on_gpu));
         assert!(a.len() == 6 && b.len() >= 5, "a device is a step behind at most: {b:?}");
         for (step, b) in b {
-            // From the second step on, what Adam made of gradients that are next to nothing shows.
+            // From the second step on, Adam's steps from almost vanishing gradients have an effect.
             let (a, allowed) = (a[&step], if step == 1 { 2e-5 } else { 5e-3 });
             assert!((a - b).abs() < allowed * a, "{form:?} step {step}: {a} {b}");
         }
         if form.weights.is_none() {
-            // Smoothness goes by the sign of differences that are rounding at first.
+            // The gradient of smoothness depends on the sign of differences that are initially only rounding.
             continue;
         }
         let (a, b) = (on_cpu.model().unwrap(), on_gpu.model().unwrap());
         let means = |m: &Model| m.gaussians.field(Field::Mean).to_vec();
-        // A centre whose gradient is next to nothing may go the other way for a step or two of the six.
+        // A centre whose gradient almost vanishes may move in the opposite direction for one or two of the
+        // six steps.
         let step = f64::from(step_size(on_cpu.config(), Field::Mean));
         let moved = largest_difference(&means(&a), &means(&b)) / step;
         assert!(moved < 2.5, "{form:?}: {moved} steps");
-        // Adam's first steps go by the sign of the gradient alone: where it is next to nothing, engines may disagree.
-        // Far is a fifth of what six steps can move.
+        // Adam's first steps depend only on the sign of the gradient, so engines may disagree where it almost
+        // vanishes. The limit is a fifth of the largest movement in six steps.
         let apart = |field| {
             let pairs = a.gaussians.field(field).iter().zip(b.gaussians.field(field));
             let far = pairs
@@ -257,16 +273,16 @@ fn first_training_steps_match_the_cpu_engine() {
                 .count();
             far as f64 / a.gaussians.field(field).len().max(1) as f64
         };
-        // Round Gaussians, as they start, have no gradient by rotation but rounding.
+        // Initial Gaussians are round, so their gradient by rotation is only rounding.
         for field in Field::ALL.into_iter().filter(|f| *f != Field::Quaternion) {
-            // Nor have they a shortest axis but by rounding, and the normal starts from it.
+            // Rounding also decides their shortest axis, from which the normal starts.
             let allowed = if field == Field::Normal { 0.05 } else { 0.02 };
             assert!(apart(field) < allowed, "{form:?} {field:?}: {}", apart(field));
         }
     }
 }
 
-/// What Adam moves an entry of `field` by in one of the first steps.
+/// Distance by which Adam moves an entry of `field` in one of the first steps.
 fn step_size(config: &TrainConfig, field: Field) -> f32 {
     let rates = &config.rates;
     match field {
@@ -293,7 +309,8 @@ fn report(model: Model) -> Report {
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn trained_result_matches_the_cpu_engine() {
     let device = gpu_device();
-    // Small steps: atomic sums come in no fixed order, and with large ones runs of this size scatter beyond what is allowed.
+    // Small steps: atomic sums have no fixed order, and with large steps the results of runs of this size
+    // scatter beyond the tolerance.
     let rates = LearningRateChanges {
         mean: Some(3e-4),
         scale: Some(5e-3),
@@ -310,7 +327,8 @@ fn trained_result_matches_the_cpu_engine() {
     let (a, b) = (report(on_cpu.model().unwrap()), report(on_gpu.model().unwrap()));
     let psnr = |r: &Report| [r.novel_view.psnr.unwrap(), r.relit.mean.psnr.unwrap()];
     for (a, b) in psnr(&a).into_iter().zip(psnr(&b)) {
-        // So few pixels scatter: on the helmet at 400 px the engines are 0.02 dB apart (docs/results.md, "Precision").
+        // With so few pixels the results scatter: on the helmet at 400 px the engines differ by 0.02 dB
+        // (docs/results.md, "Precision").
         assert!((a - b).abs() < 0.25, "{a} {b}");
     }
     let untrained = report(trainer(&long, device).model().unwrap());

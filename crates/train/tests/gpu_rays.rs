@@ -1,4 +1,4 @@
-//! Light that is looked for along rays: the GPU engine against the CPU engine.
+//! Light that is traced along rays: the GPU engine against the CPU engine.
 
 use std::sync::Arc;
 
@@ -32,7 +32,7 @@ fn mean(values: &[f32]) -> f64 {
     values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len() as f64
 }
 
-/// Root of the mean squared difference of one output.
+/// Root mean square difference of one output.
 fn distance(a: &Frame, b: &Frame, output: Output) -> f64 {
     let distance = rms_difference(&a.planes[&output], &b.planes[&output]);
     assert!(distance.is_finite(), "{output:?}");
@@ -94,7 +94,8 @@ fn monte_carlo_mean_and_noise_match_the_cpu_engine() {
             let noise = [&host, &device, &precise].map(|frame| distance(frame, &truth, output));
             println!("{shade_at:?} {output:?}: noise {noise:.5?}");
             assert!((noise[1] / noise[0] - 1.0).abs() < 0.15, "{shade_at:?} {output:?}: {noise:?}");
-            // Of as many samples each, the two differ by what their noise has in common: sqrt(2 / 32) of that of 64.
+            // Two frames of 2,048 samples differ by the noise of both: sqrt(2 / 32) of that of a frame of 64
+            // samples.
             assert!(noise[2] < 0.35 * noise[0], "{shade_at:?} {output:?}: {noise:?}");
             let [found, expected] = [&precise, &truth].map(|frame| mean(&frame.planes[&output]));
             assert!((found / expected - 1.0).abs() < 5e-3, "{shade_at:?} {output:?}: {found} {expected}");

@@ -1,4 +1,4 @@
-//! Lights that cast a shadow of their own: in a training, and in frames of either engine.
+//! Dominant lights with their own shadows, in a training and in frames of both engines.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use relume_train::render::Renderer;
 
 use crate::tiers::{camera, sun, table};
 
-/// A light towards (0.5, 0.2, 0.85) that has most of the nearest texel of a 32 x 16 map.
+/// A light towards (0.5, 0.2, 0.85) to which most of the nearest texel of a 32 x 16 map belongs.
 fn split(radius: f32) -> LightSplit {
     let towards = glam::DVec3::new(0.5, 0.2, 0.85).normalize();
     let texels = texel_directions(32, 16);
@@ -56,7 +56,7 @@ fn at(model: &Model, place: [f32; 3]) -> usize {
     (0..rows.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap()
 }
 
-/// Measures the table's shadow on a device; the shares of the one light.
+/// Measures the table's shadow on a device; returns the arriving shares of the only light.
 fn shadows_are_measured_and_follow_the_light(device: &Device) -> Vec<f32> {
     let (split, whole) = (split(0.0), EnvOperators::new(32, 16, 4, TableResolution::TRAINING));
     let operators = Arc::new(whole.with_lights(&split));
@@ -89,7 +89,7 @@ fn shadows_are_measured_and_follow_the_light(device: &Device) -> Vec<f32> {
 #[test]
 fn measured_shadow_follows_its_light() {
     shadows_are_measured_and_follow_the_light(&Device::Cpu);
-    // A wide light has a soft edge, and where nothing is occluded nothing is measured.
+    // A wide light has a soft edge. Without occlusion nothing is measured.
     let steps = |radius: f32| {
         let split = split(radius);
         let whole = EnvOperators::new(32, 16, 4, TableResolution::TRAINING);

@@ -1,6 +1,6 @@
 //! Training, rendering and evaluation through the public interface, on the CPU and on the GPU.
 
-// Helpers of tests are tests: a failed one should say where.
+// Test helpers may panic: the panic names the place.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 mod exposures;

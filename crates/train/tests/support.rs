@@ -1,4 +1,4 @@
-//! What the tests of trainings share: small trainings of small photographs.
+//! Small trainings of small photographs, shared by the tests of trainings.
 
 use relume_capture::Capture;
 use relume_engine::Device;
@@ -17,7 +17,7 @@ pub fn overrides(iterations: u32) -> TrainOverrides {
     }
 }
 
-/// The same of 60 steps, with measurements and checkpoints between them.
+/// As [`overrides`] with 60 steps, and with measurements and checkpoints between them.
 pub fn short_overrides() -> TrainOverrides {
     TrainOverrides { probe_every: Some(13), checkpoint_every: Some(17), ..overrides(60) }
 }

@@ -1,12 +1,14 @@
-//! The render tiers against each other: what `high` gains over `standard`, and that `reference` is
-//! a ground truth.
+//! The render tiers against each other: the gain of `high` over `standard`, and `monte_carlo` as the ground
+//! truth.
 
 use std::sync::{Arc, OnceLock};
 
 use glam::DVec3;
 use relume_compare::{largest_difference, rms_difference};
-use relume_engine::cpu::{self, AttributeSource, Probes};
-use relume_engine::{ColourMode, FrameJob, ProbeSettings, RasterCamera, fibonacci_sphere};
+use relume_engine::cpu::{AttributeSource, Probes};
+use relume_engine::{
+    ColourMode, FrameJob, FrameLight as _, HostModel, ProbeSettings, RasterCamera, fibonacci_sphere,
+};
 use relume_scene::light::rendering_tables;
 use relume_scene::{
     Camera, EnvMap, Field, Gaussians, IndirectForm, Model, ShadeAt, ShadingOptions, texel_directions,
@@ -19,7 +21,7 @@ const SH_DEGREE: usize = 4;
 /// A flat disc: centre, normal, standard deviation.
 type Disc = (DVec3, DVec3, f64);
 
-/// A model of opaque discs of one material, their visibility measured as in training.
+/// A model of opaque discs of one material; visibility is measured as in training.
 fn model(discs: &[Disc], albedo: f32, rough_logit: f32) -> Arc<Model> {
     let mut g = Gaussians::zeroed(discs.len(), 1, SH_DEGREE, 0);
     for (i, (centre, normal, sigma)) in discs.iter().enumerate() {
@@ -34,34 +36,15 @@ fn model(discs: &[Disc], albedo: f32, rough_logit: f32) -> Arc<Model> {
     g.field_mut(Field::MetalLogit).fill(-20.0);
     g.field_mut(Field::RoughLogit).fill(rough_logit);
     let options = ShadingOptions { indirect: IndirectForm::Off, ..ShadingOptions::default() };
-    let source = AttributeSource {
-        gaussians: &g,
-        prototypes: &[[albedo; 3]],
-        options: &options,
-        gathered: &[],
-        arriving: &[],
-        indirect_basis: &[[0.0; 3]; 16],
-        light: None,
-    };
+    let prototypes = [[albedo; 3]];
+    let source = AttributeSource::new(&g, &prototypes, &options);
     let probes = Probes::measure(&source, fibonacci_sphere(256), ProbeSettings::default());
     let coefficients = probes.coefficients(SH_DEGREE);
     g.field_mut(Field::Visibility).copy_from_slice(&coefficients);
-    Arc::new(Model {
-        gaussians: g,
-        prototypes: vec![[albedo; 3]],
-        env_raw: vec![[0.0; 3]; 8],
-        env_width: 4,
-        env_height: 2,
-        lights: Default::default(),
-        shading: options,
-        world_scale: 1.0,
-        world_offset: DVec3::ZERO,
-        framing: None,
-        card: serde_json::Value::Null,
-    })
+    Arc::new(Model { shading: options, ..Model::new(g, vec![[albedo; 3]], vec![[0.0; 3]; 8], (4, 2)) })
 }
 
-/// `side` x `side` discs, `spacing` apart, level at height `z`.
+/// `side` x `side` horizontal discs at height `z`, `spacing` apart.
 fn plate(side: i32, spacing: f64, z: f64) -> impl Iterator<Item = Disc> {
     let middle = f64::from(side - 1) / 2.0;
     (0..side * side).map(move |i| {
@@ -107,18 +90,17 @@ fn seen_from(camera: &Camera, renderer: &Renderer, map: &EnvMap, quality: impl I
 
 /// The standard frame from tables of the whole map.
 fn without_lights(model: &Arc<Model>, map: &EnvMap, size: u32) -> Frame {
-    let frames = cpu::CpuFrameRenderer::new(model.clone());
-    let light = frames.prepare_light(rendering_tables(map, SH_DEGREE));
+    let light = Arc::new(HostModel::new(model.clone())).prepare_light(rendering_tables(map, SH_DEGREE));
     let job = FrameJob {
         view: RasterCamera::new(&camera(size), &model.shading),
         outputs: &[Output::Rgb, Output::Alpha, Output::Diffuse, Output::Specular],
         colour: ColourMode::WithGBuffer,
         depth_scale: 1.0,
     };
-    frames.render(&job, &light)
+    light.render(&job).unwrap()
 }
 
-/// Root of the mean squared difference of one output.
+/// Root mean square difference of one output.
 fn distance(a: &Frame, b: &Frame, output: Output) -> f64 {
     let distance = rms_difference(&a.planes[&output], &b.planes[&output]);
     assert!(distance.is_finite(), "{output:?}");
@@ -139,12 +121,13 @@ fn separately_measured_sun_shadow_is_closer_to_the_reference() {
         let errors = [&soft, &standard, &high].map(|f| distance(f, &truth, Output::Diffuse));
         println!("{shade_at:?}: diffuse error: from tables alone, standard, high {errors:.4?}");
         assert!(errors[2] < 0.5 * errors[0], "{shade_at:?}: {errors:?}");
-        // Standard measures the shadow where Gaussians are shaded, one a Gaussian, and nowhere else.
+        // The standard tier measures shadows, one per Gaussian, only for models that are shaded at the
+        // Gaussians.
         match shade_at {
             ShadeAt::Gaussian => assert!(errors[1] < 0.75 * errors[0] && errors[2] < 0.9 * errors[1]),
             ShadeAt::Pixel => assert!((errors[1] - errors[0]).abs() < 0.05 * errors[0]),
         }
-        // The control: where no light stands out, the two tiers are one.
+        // Negative control: without a dominant light the two tiers are equal.
         let [standard, high] = [Tier::Standard, Tier::High].map(|tier| frame(&renderer, &even, tier, 48));
         assert!(distance(&standard, &high, Output::Rgb) < 1e-6, "{shade_at:?}");
     }
@@ -164,7 +147,8 @@ fn high_tier_casts_shadows_on_parts_of_a_gaussian() {
                 / (64.0 * 64.0)
         };
         let (standard, high) = (dark(Tier::Standard), dark(Tier::High));
-        // Half of the light is lost within 1.1 standard deviations, in a picture 1.45 wide, seen from 45 degrees.
+        // Half of the light is blocked within 1.1 standard deviations, in an image of width 1.45, seen from
+        // 45 degrees.
         assert!((0.01..0.06).contains(&high), "{shade_at:?}: {high}");
         assert!(standard < 0.3 * high, "the control, {shade_at:?}: {standard}");
     }
@@ -207,7 +191,7 @@ fn sheen_brightens_sun_and_sky_light_equally() {
         };
         sum(&cloth) / sum(&plain)
     };
-    // n . v is 0.29 in the middle.
+    // n . v is 0.29 in the middle of the image.
     let expected = 0.71f32.powi(3).exp();
     for tier in [Tier::Standard, Tier::High] {
         assert!((gain(tier) - expected).abs() < 0.03, "{tier:?}: {} against {expected}", gain(tier));
@@ -233,13 +217,14 @@ fn unoccluded_white_surface_is_white_in_a_white_furnace() {
     assert!((diffuse - 1.0).abs() < 5e-3, "{diffuse}");
     let twice = mean(&renderer, &EnvMap::constant(32, 16, [2.0; 3]), Output::Diffuse);
     assert!((twice - 2.0).abs() < 1e-2, "{twice}");
-    // Under a constant light the split sum is exact but for its table: both tiers show one highlight.
+    // Under a constant light the split sum is exact except for its table: both tiers show the same highlight.
     let standard = seen_from(&above, &renderer, &white, Tier::Standard);
     let alpha: f32 = standard.planes[&Output::Alpha].iter().sum();
     let tabled = standard.planes[&Output::Specular].iter().sum::<f32>() / (3.0 * alpha);
     let sampled = mean(&renderer, &white, Output::Specular);
     assert!((sampled / tabled - 1.0).abs() < 0.03, "sampled {sampled}, from the table {tabled}");
-    // The control: a ball of discs hides next to nothing of itself, a floor under a plate a good deal.
+    // Negative control: a ball of discs hardly occludes itself; a floor under a plate is occluded
+    // considerably.
     let open = mean(&Renderer::new(ball()), &white, Output::Diffuse);
     let hidden = mean(&Renderer::new(table()), &white, Output::Diffuse) / 0.6;
     assert!(open > 0.98 && open < 1.005, "{open}");
@@ -274,7 +259,7 @@ fn reference_converges_at_the_monte_carlo_rate() {
     let right = slope(&map);
     println!("error falls as n^{right:.3}");
     assert!((-0.6..-0.42).contains(&right), "{right}");
-    // The control: under a light a third too strong it stops falling.
+    // Negative control: under a light that is a third too strong the error stops falling.
     let wrong = slope(&map.rotated_and_scaled(0.0, 1.33));
     assert!(wrong > -0.35, "{wrong}");
 }

@@ -1,4 +1,4 @@
-//! The trainer as its callers see it: it learns, gives the same bytes again, resumes, and refuses bad input.
+//! The trainer through its public interface: it learns, is reproducible, resumes, and refuses invalid input.
 
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
@@ -60,7 +60,7 @@ fn equal_seeds_give_equal_bytes_on_one_and_three_threads() {
 
 #[test]
 fn photograph_cache_size_does_not_change_the_model() {
-    // Photographs that are divided by their gains are decoded anew.
+    // Photographs that are divided by their gains are decoded again.
     let overrides = TrainOverrides { match_exposures: Some(false), ..overrides() };
     let trained = |bytes: usize| {
         let preparation = PreparedTraining::new(capture(), config(&overrides)).unwrap();
@@ -82,7 +82,7 @@ fn photograph_cache_size_does_not_change_the_model() {
 #[test]
 fn resumed_training_gives_the_same_bytes() {
     let undisturbed = trained(&overrides());
-    // 30 lies between two probe refreshes, two density rounds and two snapshots.
+    // Step 30 is between two probe refreshes, two density rounds and two snapshots.
     for stop in [1, 17, 30, 59] {
         let mut trainer = Trainer::new(capture(), config(&overrides()), &Device::Cpu).unwrap();
         (0..stop).for_each(|_| {
@@ -245,7 +245,7 @@ fn auto_complexity_drops_visibility_on_a_ball_not_on_a_table() {
 fn resume_around_complexity_decisions_gives_the_same_bytes() {
     let start = || Trainer::new(capture(), sized(&auto()), &Device::Cpu).unwrap();
     let undisturbed = run(start());
-    // Decisions fall after 15 and 37 steps and at the end.
+    // Decisions are made after 15 and 37 steps and at the end.
     for stop in [15, 16, 37, 38, 60] {
         let mut trainer = start();
         (0..stop).for_each(|_| {

@@ -1,4 +1,4 @@
-//! Things that are turned under a standing light between photographs: in their own frame the light turns.
+//! Objects that are rotated under a fixed light between photographs: in their own frame the light rotates.
 
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
@@ -15,10 +15,10 @@ use relume_reference::gpu_device;
 
 use crate::support::{self, finish, trainer};
 
-/// Turns of the light in the photographs, degrees: whole columns of the environment's 32, and not.
+/// Rotations of the light in the photographs, degrees: whole and fractional columns of the environment's 32.
 const TURNS: [f64; 3] = [0.0, 112.5, 240.0];
 
-/// A light from one side, of the environment's own size.
+/// A light from one side, in the size of the environment.
 fn lamp() -> EnvMap {
     EnvMap::from_fn(32, 16, |d| {
         let side = (0.8 * d.x + 0.6 * d.z).max(0.0).powi(8) as f32;
@@ -40,7 +40,7 @@ fn photographs(light: EnvMap) -> Capture {
     synthetic(&options).unwrap()
 }
 
-/// Photographs whose light turns from one to the next; the held-out one has its own turn.
+/// Photographs with different light rotations; the held-out one has its own rotation.
 fn turntable() -> &'static Capture {
     static CAPTURE: OnceLock<Capture> = OnceLock::new();
     CAPTURE.get_or_init(|| {
@@ -77,7 +77,8 @@ fn light_rotations_of_a_turntable_improve_psnr() {
     assert!(novel_with > novel_without + 0.5, "held out: {novel_with} {novel_without}");
 }
 
-/// Overrides for the lamp as a known light, turned by `rotation_deg`; all trains from the first step on.
+/// Overrides for the lamp as a known light, rotated by `rotation_deg`; all parameters train from the first
+/// step on.
 fn known(rotation_deg: f64) -> TrainOverrides {
     let environment = "lamp".to_owned();
     let light = KnownLight { environment, rotation_deg, exposure_ev: LightExposure::default() };
@@ -89,7 +90,7 @@ fn known(rotation_deg: f64) -> TrainOverrides {
 fn first_steps(mut capture: Capture, overrides: &TrainOverrides, device: &Device) -> Vec<f32> {
     capture.measured_light = Some(lamp());
     let mut trainer = trainer(&capture, overrides, device);
-    // A device may be a step behind.
+    // A device may be one step behind.
     let reports: Vec<StepReport> = (0..3).map(|_| trainer.step().unwrap()).collect();
     let of_step = |n| reports.iter().find(|report| report.metrics_step == n).unwrap().psnr;
     (1..=2).map(of_step).collect()
@@ -102,7 +103,7 @@ fn assert_photograph_light_rotation_equals_light_rotation(device: &Device) {
         capture.train.iter_mut().for_each(|view| view.light_rotation_deg = degrees);
         first_steps(capture, &known(0.0), device)
     };
-    // Eight columns of 32; light gathered by the first measurement is under the turn as well.
+    // Eight columns of 32; the first measurement also gathers light under this rotation.
     let expected = first_steps(capture.clone(), &known(90.0), device);
     let found = turned(90.0);
     let error = largest_difference(&found, &expected);

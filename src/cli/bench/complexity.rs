@@ -11,8 +11,7 @@ use crate::cli::explain::findings;
 use crate::cli::light::illuminate;
 use relume_capture::formats::model_file;
 use relume_capture::{Capture, SyntheticOptions, SyntheticScene, synthetic};
-use relume_engine::Device;
-use relume_engine::DeviceChoice;
+use relume_engine::{Device, DeviceChoice};
 use relume_spec::training::{Complexity, Preset, TrainConfig};
 use relume_train::eval::Report;
 

@@ -6,7 +6,7 @@ use crate::cli::bench::input::{BenchModel, read_capture};
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
 use relume_capture::CaptureView;
-use relume_engine::cpu::linear_from_srgb;
+use relume_engine::linear_from_srgb;
 use relume_scene::EnvMap;
 use relume_spec::rendering::{Output, Tier};
 use relume_train::render::Renderer;

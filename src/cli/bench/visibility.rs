@@ -8,12 +8,9 @@ use crate::cli::bench::input::{BenchModel, read_capture};
 use crate::cli::bench::table::{head, publish, row};
 use crate::cli::error::CommandResult;
 use relume_capture::{Capture, CaptureView};
-use relume_engine::cpu::{AttributeSource, OccluderBvh, Pass, Surface, surface_at, surface_point};
-use relume_engine::{RasterCamera, fibonacci_sphere};
-use relume_layout::channel::Channels;
-use relume_layout::constants::EarlyStop;
+use relume_engine::{HostModel, OccluderBvh, RasterCamera, Surface, fibonacci_sphere};
 use relume_scene::light::sh_eval;
-use relume_scene::{EnvMap, Field, Model, VisibilityForm};
+use relume_scene::{EnvMap, Model, VisibilityForm};
 use relume_spec::rendering::{Output, Tier};
 use relume_train::eval::evenly_spaced;
 use relume_train::render::Renderer;
@@ -73,7 +70,7 @@ fn measure(args: &VisibilityArgs, capture: &Capture, bench_model: &BenchModel) -
     let towards = basis(args.directions as usize, bench_model.model.gaussians.visibility_degree());
     for view in views {
         occlusion.add(&ambient_occlusion(&renderer, view)?);
-        directions.add(&directional(args, &bench_model.model, view, &towards, renderer.occluders()));
+        directions.add(&directional(args, view, &towards, renderer.host()));
     }
     if occlusion.count == 0.0 {
         return Err("the held-out views have no true ambient occlusion (ao.png)".into());
@@ -103,42 +100,19 @@ fn ambient_occlusion(renderer: &Renderer, view: &CaptureView) -> CommandResult<V
 /// Error of the field in single directions relative to the transmittance of rays through the Gaussians.
 fn directional(
     args: &VisibilityArgs,
-    model: &Model,
     view: &CaptureView,
     towards: &[Towards],
-    occluders: &OccluderBvh,
+    host: &HostModel,
 ) -> DirectionSums {
-    let source = AttributeSource {
-        gaussians: &model.gaussians,
-        prototypes: &model.prototypes,
-        options: &model.shading,
-        gathered: &[],
-        arriving: &[],
-        indirect_basis: &[[0.0; 3]; 16],
-        light: None,
-    };
+    let model = host.model();
     let camera = view.camera.in_normalised_world(model.world_scale, model.world_offset);
-    let channels = Channels::Full(model.gaussians.width(Field::Visibility));
-    let pass = Pass::forward(
-        &source,
-        RasterCamera::new(&camera, &model.shading),
-        channels,
-        EarlyStop::WhenSaturated,
-    );
-    let (width, height) = (pass.view.width, pass.view.height);
-    let mut points: Vec<([f32; 3], Surface)> = Vec::new();
-    for i in 0..width * height {
-        let (x, y) = (i % width, i / width);
-        if let Some((surface, coverage)) = surface_at(&pass, x, y)
-            && coverage >= SOLID
-        {
-            points.push((surface_point(&pass, x, y), surface));
-        }
-    }
-    let step = points.len().div_ceil(args.points as usize).max(1);
-    let chosen: Vec<_> = points.iter().step_by(step).collect();
+    let mut visible = host.surfaces(RasterCamera::new(&camera, &model.shading));
+    visible.retain(|at| at.coverage >= SOLID);
+    let step = visible.len().div_ceil(args.points as usize).max(1);
+    let chosen: Vec<_> = visible.iter().step_by(step).collect();
+    let occluders = host.occluders();
     let parts: Vec<DirectionSums> =
-        chosen.par_iter().map(|(point, s)| at_point(model, *point, s, towards, occluders)).collect();
+        chosen.par_iter().map(|at| at_point(model, at.position, &at.surface, towards, occluders)).collect();
     let mut sum = DirectionSums::default();
     parts.iter().for_each(|p| sum.add(p));
     sum

@@ -10,11 +10,11 @@ use super::numbering::Numbering;
 use super::session::RenderSession;
 use crate::cli::error::CommandResult;
 use crate::cli::output;
-use relume_train::render::FrameView;
+use relume_train::render::{FrameView, RotatedLight};
 
 /// Writes one image.
 pub(super) fn single(session: &RenderSession, view: &FrameView, out: &Path) -> CommandResult {
-    output::write_named(out, &session.picture(view, &mut None)?)?;
+    output::write_named(out, &session.picture(view, &mut RotatedLight::default())?)?;
     eprintln!("wrote {}", out.display());
     Ok(())
 }
@@ -30,7 +30,7 @@ pub(super) fn sequence(
     let frames = asked_for(views, numbering, args.frames.as_ref())?;
     let bar = ProgressBar::new(frames.len() as u64);
     bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} {per_sec:>12} eta {eta:>4}  {msg}")?);
-    let (mut light, mut written) = (None, 0);
+    let (mut light, mut written) = (RotatedLight::default(), 0);
     for (done, (file, view)) in (1_usize..).zip(&frames) {
         if !(args.resume && file.exists()) {
             output::write_named(file, &session.picture(view, &mut light)?)?;

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use super::args::RenderArgs;
 use crate::cli::error::CommandResult;
 use crate::cli::input;
-use crate::cli::light::named_light;
+use crate::cli::light::illumination;
 use relume_engine::Device;
 use relume_scene::{Illumination, Model};
 use relume_spec::rendering::{Background, FrameFormat, Output, Quality, Tier};
-use relume_train::render::{EncodeOptions, FrameMetadata, FrameView, PreparedLight, Renderer, encode_frame};
+use relume_train::render::{EncodeOptions, FrameMetadata, FrameView, Renderer, RotatedLight, encode_frame};
 
 /// A model and a light, ready for rendering.
 pub(super) struct RenderSession {
@@ -22,12 +22,6 @@ pub(super) struct RenderSession {
     format: FrameFormat,
     /// All encoding options except the camera and the rotation of the light.
     encoding: EncodeOptions,
-}
-
-/// A prepared light at one rotation.
-pub(super) struct RotatedLight {
-    rotation_deg: f64,
-    prepared: PreparedLight,
 }
 
 impl RenderSession {
@@ -54,10 +48,7 @@ impl RenderSession {
         let model = Arc::new(input::read_model(&args.model)?);
         let outputs = args.outputs(&model)?;
         encoding.check(&outputs, format)?;
-        let light = match args.env.as_str() {
-            "recovered" => model.recovered_light(),
-            name => named_light(name, "recovered ")?.into(),
-        };
+        let light = illumination(&args.env, &model)?;
         let light = light.rotated_and_scaled(0.0, args.exposure.exp2() as f32);
         let renderer = Renderer::on(model, &Device::open(args.device)?)?;
         Ok(Self { renderer, light, quality, outputs, format, encoding })
@@ -67,26 +58,15 @@ impl RenderSession {
         self.renderer.model()
     }
 
-    /// Renders a view to the bytes of an image file. `light` is the light of the previous view; it is prepared again if its
-    /// rotation differs.
-    pub(super) fn picture(
-        &self,
-        view: &FrameView,
-        light: &mut Option<RotatedLight>,
-    ) -> CommandResult<Vec<u8>> {
+    /// Renders a view to the bytes of an image file. `light` has the light of the previous view; it is prepared again if
+    /// its rotation differs.
+    pub(super) fn picture(&self, view: &FrameView, light: &mut RotatedLight) -> CommandResult<Vec<u8>> {
         let rotation_deg = self.encoding.frame_metadata.rotation_deg + view.light_rotation_deg;
-        let kept = light.take().filter(|light| light.rotation_deg == rotation_deg);
-        let light = light.insert(match kept {
-            Some(light) => light,
-            None => {
-                let turned = self.light.rotated_and_scaled(rotation_deg, 1.0);
-                RotatedLight { rotation_deg, prepared: self.renderer.prepare_light(turned)? }
-            }
-        });
+        let light = light.at(&self.renderer, &self.light, rotation_deg)?;
         let FrameView { camera, .. } = view;
-        let mut frame = self.renderer.render(camera, &light.prepared, self.quality, &self.outputs)?;
+        let mut frame = self.renderer.render(camera, light, self.quality, &self.outputs)?;
         if self.encoding.background == Background::Environment {
-            self.renderer.show_environment(&mut frame, camera, &light.prepared);
+            self.renderer.show_environment(&mut frame, camera, light);
         }
         let frame_metadata =
             FrameMetadata { camera: Some(*camera), rotation_deg, ..self.encoding.frame_metadata.clone() };

@@ -1,12 +1,9 @@
 //! The attribute row of a Gaussian, which blending sums, from its raw parameters; forward and backward (docs/MODEL.md,
 //! sections 1 and 3).
 
-use crate::RasterCamera;
-use crate::RowLayout;
-use crate::cpu::project::{
-    Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation, sigmoid, sigmoid_derivative,
-};
+use crate::cpu::project::{Geometry, GeometryGradient, Splat, normalise, normalise_backward, rotation};
 use crate::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceShader};
+use crate::{NO_INDIRECT_BASIS, RasterCamera, RowLayout, sigmoid, sigmoid_derivative, softmax};
 use relume_layout::channel::{self, Channels, IncidentLight, OutgoingRadiance, RowLight};
 use relume_scene::light::{LightTables, sh_eval, sh_eval_with_gradient};
 use relume_scene::{Field, Gaussians, IndirectForm, MAX_LIGHTS, NormalForm, ShadeAt, ShadingOptions};
@@ -34,6 +31,12 @@ pub struct AttributeSource<'a> {
 }
 
 impl<'a> AttributeSource<'a> {
+    /// The source without gathered, arriving and indirect light.
+    pub fn new(gaussians: &'a Gaussians, prototypes: &'a [[f32; 3]], options: &'a ShadingOptions) -> Self {
+        let indirect_basis = &NO_INDIRECT_BASIS;
+        Self { gaussians, prototypes, options, gathered: &[], arriving: &[], indirect_basis, light: None }
+    }
+
     /// The source with a light, for a model that is shaded at its Gaussians.
     #[must_use]
     pub fn under(self, light: SurfaceShader<'a>) -> Self {
@@ -364,15 +367,4 @@ struct Radiance {
     is_positive: [bool; 3],
     direction: [f32; 3],
     length: f32,
-}
-
-/// `softmax(scores)` into `out` of the same length.
-pub fn softmax<'b>(scores: &[f32], out: &'b mut [f32]) -> &'b [f32] {
-    let top = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    for (o, s) in out.iter_mut().zip(scores) {
-        *o = crate::cpu::lanes::exp_negative(s - top);
-    }
-    let total: f32 = out.iter().sum();
-    out.iter_mut().for_each(|o| *o /= total);
-    out
 }

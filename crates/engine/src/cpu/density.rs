@@ -1,7 +1,7 @@
 //! Density control on CPU arrays: the signals from which a round is planned, and the rebuilding of the model by the plan.
 
-use crate::cpu::{rotation, sigmoid};
-use crate::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin, TrainState};
+use crate::cpu::rotation;
+use crate::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin, TrainState, sigmoid};
 use relume_layout::constants::{HALF_OPACITY_EXPONENT, HALF_SCALE_ACROSS, HALF_SCALE_ALONG};
 use relume_scene::{Field, Gaussians};
 
@@ -38,8 +38,9 @@ fn rebuilt(old: &Gaussians, plan: &DensityPlan) -> Gaussians {
     new
 }
 
-/// Turns Gaussian `i` into one half of itself: moves it by half a standard deviation along its longest axis (`side` is 1 or
-/// -1), shortens that axis and reduces the opacity, so that both halves together cover the area of the whole.
+/// Turns Gaussian `i` into one half of itself: moves it by half a standard deviation along its longest axis
+/// (`side` is 1 or -1), reduces the standard deviations, most along that axis, and the opacity, so that both
+/// halves together cover what the whole covered.
 fn halve(g: &mut Gaussians, i: usize, side: f32) {
     let scale: [f32; 3] = g.get(Field::LogScale, i);
     let axis = if scale[0] >= scale[1] && scale[0] >= scale[2] {

@@ -1,133 +1,76 @@
-//! Frames of the CPU engine: a model prepared for rendering, and frames from light tables or along rays.
+//! Frames of the CPU engine, from light tables or along rays.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::cpu::monte_carlo::{self, Sampling};
 use crate::cpu::project::Splat;
 use crate::cpu::resolve::resolve;
-use crate::cpu::sharp_lights;
 use crate::cpu::tiles::TileLists;
 use crate::cpu::{
-    AttributeSource, OccluderBvh, Pass, Probes, SurfaceShader, Transport, arriving, attribute_rows,
-    outward_normals, project_all,
+    AttributeSource, HostLight, HostModel, Pass, SurfaceShader, attribute_rows, monte_carlo, project_all,
+    sharp_lights,
 };
-use crate::{BOUNCES, ColourMode, FrameJob, NO_INDIRECT_BASIS, PROBE_DIRECTIONS};
-use crate::{Frame, ProbeSettings, RasterCamera, RayLight, fibonacci_sphere, indirect_basis};
+use crate::{ColourMode, DeviceError, Frame, FrameJob, FrameLight, FrameRenderer, RasterCamera, RayLight};
 use relume_layout::channel::{self, Channels, OutgoingRadiance, RowLight};
 use relume_layout::constants::EarlyStop;
-use relume_scene::Output;
-use relume_scene::light::LightTables;
-use relume_scene::{Field, IndirectForm, MAX_LIGHTS, Model, ShadeAt, SplitLight};
+use relume_scene::{Field, Illumination, Model, Output, ShadeAt};
 
-/// A model prepared for rendering. Data that does not depend on the light is computed on first use.
-pub struct CpuFrameRenderer {
-    model: Arc<Model>,
-    transport: OnceLock<Transport>,
-    occluders: OnceLock<OccluderBvh>,
-}
-
-/// A light prepared for the CPU engine.
-pub struct CpuFrameLight {
-    /// Tables of the light.
-    pub tables: LightTables,
-    /// Irradiance and mean blocked radiance from the model's other surfaces, per Gaussian.
-    gathered: Vec<[f32; 6]>,
-    /// Share of each dominant light that arrives, per Gaussian.
-    arriving: Vec<[f32; MAX_LIGHTS]>,
-    indirect_basis: [[f32; 3]; 16],
+/// The frames of a model on the CPU engine.
+pub(crate) struct CpuFrameRenderer {
+    host: Arc<HostModel>,
 }
 
 impl CpuFrameRenderer {
     /// Prepares a checked model.
     pub fn new(model: Arc<Model>) -> Self {
-        Self { model, transport: OnceLock::new(), occluders: OnceLock::new() }
+        Self { host: Arc::new(HostModel::new(model)) }
+    }
+}
+
+impl FrameRenderer for CpuFrameRenderer {
+    fn host(&self) -> &Arc<HostModel> {
+        &self.host
     }
 
-    /// The model.
-    pub fn model(&self) -> &Model {
-        &self.model
+    fn is_gpu(&self) -> bool {
+        false
     }
 
-    /// The light of `tables`, with the light that the model's surfaces send each other under it.
-    pub fn prepare_light(&self, tables: LightTables) -> CpuFrameLight {
-        let lights: Vec<SplitLight> = tables.lights.iter().map(SplitLight::from).collect();
-        let arriving = arriving(&self.source(&[], &[], &NO_INDIRECT_BASIS), &lights);
-        let source = self.source(&[], &arriving, &NO_INDIRECT_BASIS);
-        let mut gathered = Vec::new();
-        if source.options.indirect == IndirectForm::Gathered {
-            let transport = self.transport.get_or_init(|| {
-                let directions = fibonacci_sphere(PROBE_DIRECTIONS);
-                let probes = Probes::measure(&source, directions, ProbeSettings::of(source.options));
-                Transport::new(&probes, outward_normals(&source))
-            });
-            gathered = transport.gather(&source, &tables, BOUNCES);
-        }
-        let indirect_basis = indirect_basis(&tables);
-        CpuFrameLight { tables, gathered, arriving, indirect_basis }
+    fn max_rows(&self, _: usize, _: ColourMode) -> usize {
+        usize::MAX
     }
 
-    /// The model under `light`, not yet shaded.
-    pub fn lit_source<'a>(&'a self, light: &'a CpuFrameLight) -> AttributeSource<'a> {
-        self.source(&light.gathered, &light.arriving, &light.indirect_basis)
+    fn prepare_light(self: Arc<Self>, light: &Illumination) -> Result<Box<dyn FrameLight>, DeviceError> {
+        Ok(Box::new(self.host.prepare_light(self.host.light_tables(light))))
     }
+}
 
-    /// The shader of the model under `tables`.
-    pub fn shader<'a>(&'a self, tables: &'a LightTables) -> SurfaceShader<'a> {
-        let sh_degree = self.model.gaussians.visibility_degree();
-        SurfaceShader { tables, options: &self.model.shading, sh_degree }
-    }
-
-    /// The occluder tree of the model.
-    pub fn occluders(&self) -> &OccluderBvh {
-        self.occluders.get_or_init(|| {
-            let source = self.source(&[], &[], &NO_INDIRECT_BASIS);
-            OccluderBvh::new(&source, ProbeSettings::of(source.options))
+impl FrameLight for HostLight {
+    fn render(&self, job: &FrameJob<'_>) -> Result<Frame, DeviceError> {
+        let (source, shader) = (self.source(), self.shader(&self.tables));
+        Ok(match job.colour {
+            ColourMode::Alone => colour(&source, job.view, &shader),
+            ColourMode::WithGBuffer => standard(&source, job, &shader),
         })
     }
 
-    /// Renders `job` from the light's tables.
-    pub fn render(&self, job: &FrameJob<'_>, light: &CpuFrameLight) -> Frame {
-        let (source, shader) = (self.lit_source(light), self.shader(&light.tables));
-        match job.colour {
-            ColourMode::Alone => colour(&source, job.view, &shader),
-            ColourMode::WithGBuffer => standard(&source, job, &shader),
-        }
-    }
-
-    /// Renders `job` with light that is traced along rays. `rays` must belong to the environment from which `light` was
-    /// prepared.
-    pub fn render_by_rays(&self, job: &FrameJob<'_>, light: &CpuFrameLight, rays: &RayLight<'_>) -> Frame {
-        let source = self.lit_source(light);
-        match *rays {
+    fn render_by_rays(&self, job: &FrameJob<'_>, rays: &RayLight<'_>) -> Result<Frame, DeviceError> {
+        let (source, occluders) = (self.source(), self.model.occluders());
+        Ok(match *rays {
             RayLight::Sharp { lights, rest } => {
-                sharp_lights::render(job, (&source, &self.shader(rest)), lights, self.occluders())
+                sharp_lights::render(job, (&source, &self.shader(rest)), lights, occluders)
             }
             RayLight::Sampled { environment, samples, seed, pixels_before } => {
-                let sampling = Sampling { samples, seed, pixels_before };
-                let lit = (&source, &self.shader(&light.tables));
-                monte_carlo::render(job, lit, environment, sampling, self.occluders())
+                let lit = (&source, &self.shader(&self.tables));
+                monte_carlo::render(job, lit, (environment, samples), (seed, pixels_before), occluders)
             }
-        }
+        })
     }
 
-    fn source<'a>(
-        &'a self,
-        gathered: &'a [[f32; 6]],
-        arriving: &'a [[f32; MAX_LIGHTS]],
-        basis: &'a [[f32; 3]; 16],
-    ) -> AttributeSource<'a> {
-        AttributeSource {
-            gaussians: &self.model.gaussians,
-            prototypes: &self.model.prototypes,
-            options: &self.model.shading,
-            gathered,
-            arriving,
-            indirect_basis: basis,
-            light: None,
-        }
+    fn on_host(&self) -> Option<&HostLight> {
+        Some(self)
     }
 }
 

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::cpu::attributes::AttributeSource;
 use crate::cpu::probes::Probes;
-use crate::cpu::project::sigmoid;
+use crate::sigmoid;
 use relume_layout::constants::{MIN_BLOCKED_SHARE, NO_HIT};
 use relume_scene::light::{LightTables, UNOCCLUDED_SH0};
 use relume_scene::{Field, VisibilityForm};

@@ -12,7 +12,7 @@ pub(super) struct Lambert {
     pub(super) radiance: [f32; 3],
     normal: [f32; 3],
     irradiance: [f32; 3],
-    /// Irradiance before the clamp.
+    /// Irradiance before the clamp; the next field has it per tap.
     irradiance_raw: [f32; 3],
     tap_irradiance: [[f32; 3]; 4],
     taps: Taps<f32>,

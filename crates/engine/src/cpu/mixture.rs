@@ -176,15 +176,7 @@ mod tests {
         let prototypes =
             [[0.5, 0.4, 0.3], [0.1, 1.4, 0.3], [0.9, -0.2, 0.1], [0.1, 0.2, 0.3], [0.7, 0.7, 0.6]];
         let options = ShadingOptions::default();
-        let source = AttributeSource {
-            gaussians: g,
-            prototypes: &prototypes,
-            options: &options,
-            gathered: &[],
-            arriving: &[],
-            indirect_basis: &[[0.0; 3]; 16],
-            light: None,
-        };
+        let source = AttributeSource::new(g, &prototypes, &options);
         let mut scratch = MixtureScratch::default();
         let indices: Vec<u32> = (0..N as u32).collect();
         let blocks = indices.chunks(LANES).flat_map(|block| {

@@ -12,9 +12,9 @@ mod branch_images;
 mod density;
 mod direct;
 mod display;
-pub mod evaluation;
 mod frames;
 mod gather;
+mod host;
 mod labels;
 mod lambert;
 mod lanes;
@@ -34,24 +34,24 @@ mod sharp_lights;
 mod surface;
 mod surface_shader;
 mod tiles;
-mod training;
+pub(crate) mod training;
 
-pub use attributes::{AttributeSource, softmax};
+pub use attributes::AttributeSource;
 #[cfg(test)]
 pub use blend_backward::ROW_HEADER;
 pub use branch_images::{BranchImages, BufferGradient, radiance_image, radiance_image_backward, surface_at};
-pub use display::{linear_from_srgb, srgb, srgb_derivative};
-pub use frames::{CpuFrameLight, CpuFrameRenderer, blended_radiance};
+pub(crate) use frames::CpuFrameRenderer;
+pub use frames::blended_radiance;
 pub use gather::{Transport, sky_irradiance};
+pub use host::{HostLight, HostModel, SurfaceEdit, VisibleSurface};
 pub use labels::{BackwardLabel, backward_labels};
+pub(crate) use lanes::exp_negative;
 pub use lanes::{LANES, Lanes};
 pub use mixture::softmax_lanes;
 pub use pass::{Pass, attribute_rows, project_all};
 pub use point::{surface_point, surface_points};
-pub use probes::{Probes, arriving, light_transmittance, outward_normals};
-pub use project::{
-    Geometry, Splat, normalise, normalise_backward, rotation, rotation_backward, sigmoid, sigmoid_derivative,
-};
+pub use probes::{Probes, arriving, outward_normals};
+pub use project::{Geometry, Splat, normalise, normalise_backward, rotation, rotation_backward};
 pub use rays::OccluderBvh;
 pub use resolve::{reflector, resolve};
 pub use surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader};

@@ -16,29 +16,19 @@ use relume_scene::light::{EnvSampler, SampleCounts, estimate};
 /// Upper bound of a radiance, so that a frame stays finite in f32 even with samples of an extreme light.
 const MAX_RADIANCE: f64 = 1e36;
 
-/// The directions that a job samples.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Sampling {
-    /// Number of directions per pixel.
-    pub samples: u32,
-    /// Seed of the directions.
-    pub seed: u64,
-    /// Number of the frame's pixels before the first pixel of the job, so that no two pixels have the same samples.
-    pub pixels_before: u64,
-}
-
-/// Renders every pixel. The seed is the only source of randomness.
+/// Renders every pixel with `samples` directions. The seed is the only source of randomness. `pixels_before` is the number of the
+/// frame's pixels before the first pixel of the job, so that no two pixels have the same samples.
 pub(super) fn render(
     job: &FrameJob<'_>,
     (source, shader): (&AttributeSource<'_>, &SurfaceShader<'_>),
-    environment: &EnvSampler,
-    Sampling { samples, seed, pixels_before }: Sampling,
+    (environment, samples): (&EnvSampler, u32),
+    (seed, pixels_before): (u64, u64),
     occluders: &OccluderBvh,
 ) -> Frame {
     let view = job.view;
     let coefficients = source.gaussians.width(Field::Visibility);
     let pass = Pass::forward(source, view, Channels::Full(coefficients), EarlyStop::WhenSaturated);
-    let shares = SampleCounts::of(samples, environment);
+    let counts = SampleCounts::of(samples, environment);
     let random = ChaCha8Rng::seed_from_u64(seed);
     let light = |(x, y): (usize, usize), surface: &Surface| {
         // One random stream per pixel, so that its samples do not depend on the order of rendering.
@@ -49,7 +39,7 @@ pub(super) fn render(
             &reflector(surface),
             environment,
             surface.blocked.map(f64::from),
-            shares,
+            counts,
             &mut random,
             |d| f64::from(occluders.transmittance(point, d.to_array().map(|v| v as f32))),
         );

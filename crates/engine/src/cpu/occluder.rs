@@ -4,7 +4,8 @@ use rayon::prelude::*;
 
 use crate::cpu::attributes::AttributeSource;
 use crate::cpu::lanes::exp_negative;
-use crate::cpu::project::{rotation, sigmoid};
+use crate::cpu::project::rotation;
+use crate::sigmoid;
 use relume_layout::constants::{ALPHA_MAX, ALPHA_MIN, LOG_SCALE_LIMIT, MAX_OCCLUDER_VARIANCE};
 
 pub(super) type Vec3 = [f32; 3];

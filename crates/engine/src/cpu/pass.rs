@@ -10,8 +10,7 @@ use crate::cpu::lanes::LANES;
 use crate::cpu::mixture::MixtureScratch;
 use crate::cpu::project::{Splat, SplatGradient, project, project_backward, rotation_backward};
 use crate::cpu::tiles::TileLists;
-use crate::indirect_basis_backward;
-use crate::{Gradients, RowLayout, zeros};
+use crate::{Gradients, RowLayout, indirect_basis_backward, zeros};
 use relume_layout::channel::{self, Channels, IncidentLight, RowLight};
 use relume_layout::constants::{EarlyStop, TILE};
 use relume_scene::light::LightTables;
@@ -135,8 +134,8 @@ impl Pass {
         }
         let half_width = 0.5 * self.view.width.max(self.view.height) as f32;
         let has_albedo = width > ROW_HEADER + channel::ROUGH;
-        let marks = out.absgrad.par_chunks_mut(LANES).zip(out.visible.par_chunks_mut(LANES));
-        let blocks = out.rows.par_chunks_mut(LANES * layout.row).zip(marks).zip(splat_of.par_chunks(LANES));
+        let density = out.absgrad.par_chunks_mut(LANES).zip(out.visible.par_chunks_mut(LANES));
+        let blocks = out.rows.par_chunks_mut(LANES * layout.row).zip(density).zip(splat_of.par_chunks(LANES));
         blocks.enumerate().with_min_len(4).for_each_init(
             MixtureScratch::default,
             |scratch, (block, ((rows, (absgrad, visible)), splats))| {

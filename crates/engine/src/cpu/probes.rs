@@ -25,7 +25,7 @@ pub struct Probes {
 }
 
 /// Transmittance from every Gaussian towards each light, `[light][Gaussian]`: the mean over the light's disc.
-pub fn light_transmittance(
+fn light_transmittance(
     source: &AttributeSource<'_>,
     lights: &[SplitLight],
     settings: ProbeSettings,

@@ -4,7 +4,7 @@
 //! needles `xx yy - xy^2` would be the difference of two large numbers. The low-pass l, added to xx and yy, adds
 //! `l (xx + yy) + l^2`, a sum of positive terms.
 
-use crate::RasterCamera;
+use crate::{RasterCamera, sigmoid, sigmoid_derivative};
 use relume_layout::constants::{
     ALPHA_MIN, FAR, LOG_SCALE_LIMIT, MAX_PIXEL_DISTANCE, MAX_SCREEN_VARIANCE, MIN_DETERMINANT, NEAR,
 };
@@ -70,18 +70,6 @@ pub struct GeometryGradient {
 }
 
 type Mat3 = [[f32; 3]; 3];
-
-/// `1 / (1 + e^-x)`.
-#[inline]
-pub fn sigmoid(x: f32) -> f32 {
-    1.0 / (1.0 + (-x).exp())
-}
-
-/// Derivative of [`sigmoid`]: `s(x) s(-x)`, which stays accurate where `s` is nearly 1 and `1 - s` loses all digits.
-#[inline]
-pub fn sigmoid_derivative(x: f32) -> f32 {
-    sigmoid(x) * sigmoid(-x)
-}
 
 /// `v / max(|v|, 1e-12)` and the length used.
 #[inline]

@@ -174,7 +174,6 @@ fn build(boxes: &mut [BoundedOccluder], first: usize, nodes: &mut Vec<BvhNode>) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::NO_INDIRECT_BASIS;
     use crate::cpu::{Probes, outward_normals};
     use crate::fibonacci_sphere;
     use relume_compare::largest_difference;
@@ -200,22 +199,15 @@ mod tests {
     }
 
     fn source<'a>(g: &'a Gaussians, options: &'a ShadingOptions) -> AttributeSource<'a> {
-        AttributeSource {
-            gaussians: g,
-            prototypes: &[[0.5; 3]],
-            options,
-            gathered: &[],
-            arriving: &[],
-            indirect_basis: &NO_INDIRECT_BASIS,
-            light: None,
-        }
+        AttributeSource::new(g, &[[0.5; 3]], options)
     }
 
     #[test]
     fn ray_transmittance_equals_the_probe_measurement() {
         let (g, options) = (cloud(400), ShadingOptions::default());
         let source = source(&g, &options);
-        // From the centres themselves, with the same clearance from the own Gaussian as from others.
+        // From the centres themselves, with the same clearance from a centre's own Gaussian as from the
+        // others.
         let settings = ProbeSettings { offset: 0.0, ..ProbeSettings::default() };
         let directions = fibonacci_sphere(40);
         let probes = Probes::measure(&source, directions.clone(), settings);

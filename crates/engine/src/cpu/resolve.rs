@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::Frame;
-use crate::cpu::{Pass, Surface, SurfaceShader, linear_from_srgb, normalise, surface_at};
+use crate::cpu::{Pass, Surface, SurfaceShader, normalise, surface_at};
+use crate::{Frame, linear_from_srgb};
 use relume_layout::channel::{self, OutgoingRadiance};
 use relume_layout::constants::MIN_COVERAGE;
 use relume_scene::Output;

@@ -180,7 +180,7 @@ impl Block {
         bits
     }
 
-    /// Alpha of each footprint, also of those that do not count.
+    /// Alpha of each footprint, including those that do not count.
     #[inline(always)]
     fn alpha(&self, power: &Lanes) -> Lanes {
         Lanes::from_fn(|i| {

@@ -12,10 +12,9 @@ use crate::cpu::{
 };
 use crate::density::{DensityPlan, DensitySignals};
 use crate::step::{FieldUpdate, PhotoId, ProbeMeasurement, Step, StepResult};
-use crate::training;
 use crate::{
     DeviceError, Gradients, LightRotation, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, StepWeights,
-    TrainState, fibonacci_sphere, indirect_basis,
+    TrainState, fibonacci_sphere, indirect_basis, training,
 };
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables};
@@ -39,25 +38,22 @@ pub struct ObjectiveResult {
 }
 
 /// The kernel input of a state.
-pub(super) fn source<'a>(
+pub(crate) fn source<'a>(
     state: &'a TrainState,
     basis: &'a [[f32; 3]; 16],
     light: LightRotation,
 ) -> AttributeSource<'a> {
     let Model { gaussians, prototypes, shading, .. } = &state.model;
     AttributeSource {
-        gaussians,
-        prototypes,
-        options: shading,
         gathered: state.gathered_in(light.block),
         arriving: &state.arriving,
         indirect_basis: basis,
-        light: None,
+        ..AttributeSource::new(gaussians, prototypes, shading)
     }
 }
 
 /// Radiance of the model's environment texels.
-pub(super) fn environment_radiance(model: &Model) -> Vec<[f32; 3]> {
+pub(crate) fn environment_radiance(model: &Model) -> Vec<[f32; 3]> {
     model.env_raw.iter().map(|t| t.map(softplus)).collect()
 }
 

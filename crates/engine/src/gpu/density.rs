@@ -103,9 +103,10 @@ pub fn gather(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cpu::{rotation, sigmoid};
+    use crate::cpu::rotation;
+    use crate::sigmoid;
     use relume_compare::{largest_difference, worst};
-    use relume_scene::{EnvMap, Field, Gaussians, Model, ShadingOptions};
+    use relume_scene::{EnvMap, Field, Gaussians, Model};
 
     fn model(n: usize) -> Model {
         let mut gaussians = Gaussians::zeroed(n, 5, 2, 1);
@@ -117,19 +118,7 @@ mod tests {
             }
         }
         let env = EnvMap::constant(4, 2, [0.5; 3]);
-        Model {
-            gaussians,
-            prototypes: vec![[0.2, 0.4, 0.6]; 5],
-            env_raw: env.texels().to_vec(),
-            env_width: 4,
-            env_height: 2,
-            lights: Default::default(),
-            shading: ShadingOptions::default(),
-            world_scale: 1.0,
-            world_offset: glam::DVec3::ZERO,
-            framing: None,
-            card: serde_json::Value::Null,
-        }
+        Model::new(gaussians, vec![[0.2, 0.4, 0.6]; 5], env.texels().to_vec(), (4, 2))
     }
 
     /// The rule of halving, as in the CPU engine's `density`.

@@ -6,8 +6,6 @@ use std::time::{Duration, Instant};
 
 use bytemuck::Pod;
 
-use crate::AdapterReport;
-use crate::DeviceError;
 use crate::gpu::adapter::Adapters;
 use crate::gpu::bind_groups::BindGroups;
 use crate::gpu::buffer::{Buffer, MemoryAccount};
@@ -16,6 +14,7 @@ use crate::gpu::lock::locked;
 use crate::gpu::shaders::{BindingKind, Kernel};
 use crate::gpu::timing::{StageTime, Timings};
 use crate::gpu::trusted;
+use crate::{AdapterReport, DeviceError};
 
 /// Timeout of waits for the device, s.
 pub(super) const DEVICE_TIMEOUT_S: u64 = 120;
@@ -33,7 +32,7 @@ pub struct GpuOptions {
     pub checks: bool,
     /// Fill new buffers with garbage, to detect reliance on zeroed memory.
     pub garbage: bool,
-    /// Use the compare-exchange loop for float sums also where the device has float atomics.
+    /// Use the compare-exchange loop for float sums even where the device has float atomics.
     pub compare_exchange: bool,
     /// Limit the size of a binding to this number of bytes, as on a smaller device.
     pub binding_limit: Option<u64>,

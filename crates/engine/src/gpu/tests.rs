@@ -1,10 +1,8 @@
 //! Tests of the basics: dispatches, accumulation, transfers, errors, shared shader pieces.
 
-use crate::DeviceError;
-use crate::RasterCamera;
-use crate::cpu;
 use crate::gpu::model::{LayoutUniform, from_planar, planar};
 use crate::gpu::{Buffer, Gpu, GpuOptions, Groups, shaders};
+use crate::{DeviceError, RasterCamera, cpu};
 use relume_scene::light::sh_eval_with_gradient;
 use relume_scene::{Field, Gaussians, ShadingOptions};
 

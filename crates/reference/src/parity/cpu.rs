@@ -2,9 +2,8 @@
 
 use crate::parity::case::{ParityCase, ParityResult, VisibleSplat};
 use crate::{Array, Arrays, ENVIRONMENT, PROTOTYPES};
-use relume_engine::Gradients;
-use relume_engine::cpu::{AttributeSource, BranchImages, Pass, SurfaceShader};
-use relume_engine::{RasterCamera, indirect_basis};
+use relume_engine::cpu::{AttributeSource, BranchImages, Pass};
+use relume_engine::{Gradients, RasterCamera, SurfaceShader, indirect_basis};
 use relume_layout::channel::{COVERAGE, Channels};
 use relume_layout::constants::EarlyStop;
 use relume_scene::{Field, Model, softplus};
@@ -15,13 +14,10 @@ pub fn cpu_result(case: &ParityCase<'_>) -> ParityResult {
     let radiance: Vec<[f32; 3]> = model.env_raw.iter().map(|t| t.map(softplus)).collect();
     let tables = operators.apply(&radiance);
     let source = AttributeSource {
-        gaussians: &model.gaussians,
-        prototypes: &model.prototypes,
-        options: &model.shading,
         gathered: case.gathered,
         arriving: case.arriving,
         indirect_basis: &indirect_basis(&tables),
-        light: None,
+        ..AttributeSource::new(&model.gaussians, &model.prototypes, &model.shading)
     };
     let sh_degree = model.gaussians.visibility_degree();
     let shader = SurfaceShader { tables: &tables, options: &model.shading, sh_degree };

@@ -3,7 +3,6 @@
 use crate::Array;
 use crate::parity::case::{ParityCase, ParityResult, VisibleSplat};
 use crate::parity::cpu::shared;
-use relume_engine::DeviceError;
 use relume_engine::gpu::frame::{FrameBranches, FrameGradients, FramePass};
 use relume_engine::gpu::light::{Constants, TrainingLight};
 use relume_engine::gpu::model::{ModelBuffers, from_planar};
@@ -12,7 +11,7 @@ use relume_engine::gpu::raster::SplatRecord;
 use relume_engine::gpu::shading::{Images, Shading};
 use relume_engine::gpu::update::{STATUS_WORDS, StepInput, UpdateSums, Updater, UpstreamGradients};
 use relume_engine::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, Raster};
-use relume_engine::{LightWeights, ParameterWeights, RasterCamera};
+use relume_engine::{DeviceError, LightWeights, ParameterWeights, RasterCamera};
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
 use relume_scene::{Field, IndirectForm};

@@ -7,7 +7,7 @@ use relume_engine::Device;
 use relume_reference::parity::{ParityCase, ParityResult, cpu_result};
 use relume_scene::{Camera, Field, Model};
 
-use super::harness::{BACKGROUND, LIGHT, answer, in_front, looking_from, model, on_each_engine};
+use super::harness::{BACKGROUND, LIGHT, in_front, looking_from, model, on_each_engine, result_on};
 use relume_fixtures::cases_or;
 
 on_each_engine! {
@@ -77,8 +77,8 @@ fn cameras() -> [Camera; 4] {
     ]
 }
 
-fn images_are_finite(answer: &ParityResult) -> bool {
-    let images = answer.physical.iter().chain(&answer.radiance).flatten().chain(&answer.coverage);
+fn images_are_finite(result: &ParityResult) -> bool {
+    let images = result.physical.iter().chain(&result.radiance).flatten().chain(&result.coverage);
     images.into_iter().all(|v| v.is_finite())
 }
 
@@ -100,15 +100,15 @@ fn is_on_a_threshold(model: &Model, camera: &Camera, i: usize) -> bool {
 }
 
 fn check(model: &Model, camera: &Camera, device: &Device) -> Result<(), TestCaseError> {
-    let question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 5);
-    let found = answer(device, &question);
+    let case = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 5);
+    let found = result_on(device, &case);
     prop_assert!(images_are_finite(&found));
     if let Device::Gpu(_) = device {
-        let drawn = |answer: &ParityResult| -> Vec<usize> {
+        let drawn = |result: &ParityResult| -> Vec<usize> {
             let steady = |i: &usize| !is_on_a_threshold(model, camera, *i);
-            answer.splats.iter().map(|s| s.gaussian).filter(steady).collect()
+            result.splats.iter().map(|s| s.gaussian).filter(steady).collect()
         };
-        prop_assert_eq!(drawn(&cpu_result(&question)), drawn(&found));
+        prop_assert_eq!(drawn(&cpu_result(&case)), drawn(&found));
         return Ok(());
     }
     // The same model without the Gaussians that are not drawn.
@@ -140,7 +140,7 @@ fn extreme_parameters_give_finite_images(device: &Device) {
 
 fn gaussians_with_nan_geometry_are_not_drawn(device: &Device) {
     let drawn = |model: &Model| {
-        let found = answer(device, &ParityCase::new(model, &in_front((16, 12)), BACKGROUND, &LIGHT, 5));
+        let found = result_on(device, &ParityCase::new(model, &in_front((16, 12)), BACKGROUND, &LIGHT, 5));
         assert!(found.is_finite());
         found.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>()
     };

@@ -43,13 +43,13 @@ pub(super) fn in_front(size: (u32, u32)) -> Camera {
 /// Generates two tests of each function with a `&Device`: one on the CPU engine, one on the GPU engine.
 macro_rules! on_each_engine {
     ($($case:ident),* $(,)?) => {
-        mod on_cpu {
+        mod cpu_engine {
             $(#[test]
             fn $case() {
                 super::$case(&relume_engine::Device::Cpu);
             })*
         }
-        mod on_gpu {
+        mod gpu_engine {
             $(#[test]
             #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
             fn $case() {
@@ -111,20 +111,23 @@ impl<'d> Suite<'d> {
 
     /// Compares the engine with the reference.
     pub(super) fn check(&mut self, name: &str, model: &Model, camera: &Camera, bounds: Bounds) {
-        let mut question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
-        let kept = stable_pixels(&question, MARGIN);
-        question.keep(&kept);
-        let expected = reference_result(&question);
+        let mut case = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
+        let kept = stable_pixels(&case, MARGIN);
+        case.keep(&kept);
+        let expected = reference_result(&case);
         if !expected.is_finite() {
             self.failures.push(format!("{name}: the reference itself is not finite"));
         }
-        let found = self.finite(name, &question);
+        let found = self.finite(name, &case);
         let Errors { image, gradient, worst } = errors(&found, &expected, &kept);
         let steady = kept.iter().filter(|k| **k).count();
         eprintln!(
             "{name}: image {image:.1e}, gradient {gradient:.1e} ({worst}), {steady}/{} pixels",
             kept.len()
         );
+        if steady == 0 {
+            self.failures.push(format!("{name}: no pixel is compared"));
+        }
         if !(image < bounds.image && gradient < bounds.gradient) {
             self.failures.push(format!("{name}: image {image:e}, gradient {gradient:e} of {worst}"));
         }
@@ -133,10 +136,10 @@ impl<'d> Suite<'d> {
     /// For cases where f64 has no result or is too slow: the engine's result must be finite, and the GPU engine must draw the
     /// same Gaussians as the CPU engine and agree with it within `bound`.
     pub(super) fn alike(&mut self, name: &str, model: &Model, camera: &Camera, bound: f64) -> ParityResult {
-        let question = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
-        let found = self.finite(name, &question);
+        let case = ParityCase::new(model, camera, BACKGROUND, &LIGHT, 7);
+        let found = self.finite(name, &case);
         if let Device::Gpu(_) = self.device {
-            let cpu = cpu_result(&question);
+            let cpu = cpu_result(&case);
             let drawn = |a: &ParityResult| a.splats.iter().map(|s| s.gaussian).collect::<Vec<_>>();
             if drawn(&found) != drawn(&cpu) {
                 self.failures.push(format!("{name}: draws other Gaussians than the CPU engine"));
@@ -150,8 +153,8 @@ impl<'d> Suite<'d> {
         found
     }
 
-    fn finite(&mut self, name: &str, question: &ParityCase<'_>) -> ParityResult {
-        let found = answer(self.device, question);
+    fn finite(&mut self, name: &str, case: &ParityCase<'_>) -> ParityResult {
+        let found = result_on(self.device, case);
         if !found.is_finite() {
             self.failures.push(format!("{name}: not finite"));
         }
@@ -170,25 +173,25 @@ impl Drop for Suite<'_> {
     }
 }
 
-pub(super) fn answer(device: &Device, question: &ParityCase<'_>) -> ParityResult {
+pub(super) fn result_on(device: &Device, case: &ParityCase<'_>) -> ParityResult {
     match device {
-        Device::Cpu => cpu_result(question),
-        Device::Gpu(gpu) => gpu_result(gpu, question).unwrap(),
+        Device::Cpu => cpu_result(case),
+        Device::Gpu(gpu) => gpu_result(gpu, case).unwrap(),
     }
 }
 
 #[test]
 fn harness_detects_a_changed_image_a_changed_gradient_and_nan() {
     let (plain, camera) = (model(8, 1), in_front((16, 12)));
-    let question = ParityCase::new(&plain, &camera, BACKGROUND, &LIGHT, 7);
+    let case = ParityCase::new(&plain, &camera, BACKGROUND, &LIGHT, 7);
     let kept = vec![true; 192];
-    let expected = reference_result(&question);
+    let expected = reference_result(&case);
     let mut other = plain.clone();
     other.gaussians.field_mut(Field::RoughLogit)[2] += 0.2;
     let found = cpu_result(&ParityCase::new(&other, &camera, BACKGROUND, &LIGHT, 7));
     let e = errors(&found, &expected, &kept);
     assert!(e.image > TIGHT.image && e.gradient > TIGHT.gradient, "{:e} {:e}", e.image, e.gradient);
-    let mut poisoned = cpu_result(&question);
+    let mut poisoned = cpu_result(&case);
     poisoned.radiance[3][1] = f64::NAN;
     assert!(!poisoned.is_finite());
     assert_eq!(errors(&poisoned, &expected, &kept).image, f64::INFINITY);

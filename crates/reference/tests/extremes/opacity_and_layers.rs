@@ -50,8 +50,8 @@ fn extreme_opacities_match(device: &Device) {
     for infinite in [f32::NEG_INFINITY, f32::INFINITY] {
         let mut model = model(8, 2);
         model.gaussians.field_mut(Field::OpacityLogit)[1..4].fill(infinite);
-        let answer = suite.alike(&format!("logit {infinite}"), &model, &in_front((16, 12)), 1e-4);
-        assert_eq!(answer.splats.iter().any(|s| s.gaussian == 2), infinite > 0.0);
+        let result = suite.alike(&format!("logit {infinite}"), &model, &in_front((16, 12)), 1e-4);
+        assert_eq!(result.splats.iter().any(|s| s.gaussian == 2), infinite > 0.0);
     }
     suite.finish();
 }
@@ -69,15 +69,7 @@ fn ten_thousand_layers_on_one_ray_match(device: &Device) {
 }
 
 fn source(model: &Model) -> AttributeSource<'_> {
-    AttributeSource {
-        gaussians: &model.gaussians,
-        prototypes: &model.prototypes,
-        options: &model.shading,
-        gathered: &[],
-        arriving: &[],
-        indirect_basis: &[[0.0; 3]; 16],
-        light: None,
-    }
+    AttributeSource::new(&model.gaussians, &model.prototypes, &model.shading)
 }
 
 /// The model's splats, projected on the GPU.

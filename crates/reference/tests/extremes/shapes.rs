@@ -43,8 +43,8 @@ fn scales_with_overflowing_or_underflowing_squares_match(device: &Device) {
             model.shading.low_pass_compensation = compensation;
             model.gaussians.row_mut(Field::LogScale, 1).fill(log);
             let name = format!("log scale {log} {compensation}");
-            let answer = suite.alike(&name, &model, &in_front((16, 12)), 1e-4);
-            let drawn = answer.splats.iter().any(|s| s.gaussian == 1);
+            let result = suite.alike(&name, &model, &in_front((16, 12)), 1e-4);
+            let drawn = result.splats.iter().any(|s| s.gaussian == 1);
             assert_eq!(drawn, is_point && !compensation, "{name}");
         }
     }
@@ -115,8 +115,8 @@ fn zero_quaternion_is_the_identity(device: &Device) {
         let mut scaled = model(6, 8);
         scaled.gaussians.field_mut(Field::Quaternion).iter_mut().for_each(|v| *v *= length);
         // The gradient by a quaternion is proportional to 1 / length; the image does not change.
-        let answer = suite.alike(&format!("length {length:e}"), &scaled, &camera, 1e-4);
-        assert!(answer.is_finite());
+        let result = suite.alike(&format!("length {length:e}"), &scaled, &camera, 1e-4);
+        assert!(result.is_finite());
     }
     suite.finish();
 }

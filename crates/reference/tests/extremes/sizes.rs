@@ -31,8 +31,8 @@ fn one_hundred_thousand_gaussians_in_few_tiles_match(device: &Device) {
     let mut many = model(100_000, 42);
     many.gaussians.field_mut(Field::LogScale).iter_mut().for_each(|s| *s -= 2.5);
     many.gaussians.field_mut(Field::OpacityLogit).iter_mut().for_each(|s| *s -= 3.0);
-    let answer = suite.alike("many", &many, &in_front((20, 18)), 1e-3);
-    assert!(answer.splats.len() > 20_000);
+    let result = suite.alike("many", &many, &in_front((20, 18)), 1e-3);
+    assert!(result.splats.len() > 20_000);
     suite.finish();
 }
 

@@ -65,19 +65,7 @@ pub(super) fn model(seed: u64, shading: ShadingOptions) -> Model {
         noise.fill(rows.as_flattened_mut(), centre, spread);
         rows
     };
-    Model {
-        gaussians,
-        prototypes: triples(5, 0.5, 0.45),
-        env_raw: triples(512, -0.8, 1.0),
-        env_width: 32,
-        env_height: 16,
-        lights: Default::default(),
-        shading,
-        world_scale: 1.0,
-        world_offset: DVec3::ZERO,
-        framing: None,
-        card: serde_json::Value::Null,
-    }
+    Model { shading, ..Model::new(gaussians, triples(5, 0.5, 0.45), triples(512, -0.8, 1.0), (32, 16)) }
 }
 
 pub(super) fn wide<const W: usize>(rows: &[[f32; W]]) -> Array {
@@ -90,11 +78,11 @@ fn gathered_light(seed: u64) -> Vec<[f32; 6]> {
 }
 
 /// Results of the case `seed`: the CPU engine's and the reference's.
-fn answers(model: &Model, seed: u64) -> [ParityResult; 2] {
+fn results(model: &Model, seed: u64) -> [ParityResult; 2] {
     let (camera, gathered) = (camera(seed), gathered_light(seed));
-    let question =
+    let case =
         ParityCase { gathered: &gathered, ..ParityCase::new(model, &camera, BACKGROUND, &LIGHT, seed) };
-    [cpu_result(&question), reference_result(&question)]
+    [cpu_result(&case), reference_result(&case)]
 }
 
 /// Three lights: one at the centre of its texels and as wide as they are, one point, one that is visible only from below.
@@ -121,12 +109,12 @@ fn answers_with_lights(model: &Model, seed: u64, split: &LightSplit) -> [ParityR
     let share = |k: usize, v: f32| if k == 1 { 1.0 } else { 0.5 + 0.5 * v };
     let arriving: Vec<[f32; MAX_LIGHTS]> =
         (0..GAUSSIANS).map(|_| std::array::from_fn(|k| share(k, noise.next()))).collect();
-    let question = ParityCase {
+    let case = ParityCase {
         gathered: &gathered,
         arriving: &arriving,
         ..ParityCase::new(model, &camera, BACKGROUND, &light, seed)
     };
-    [cpu_result(&question), reference_result(&question)]
+    [cpu_result(&case), reference_result(&case)]
 }
 
 #[test]
@@ -147,7 +135,7 @@ fn cpu_engine_matches_the_reference_with_separate_lights() {
             assert!(worst < TOLERANCE_GRADIENT, "{seed} {parameter}: {worst:e}");
         }
         // Negative control: the same environment without dominant lights gives another image.
-        let [whole, _] = answers(&model, seed);
+        let [whole, _] = results(&model, seed);
         assert!(image_error(&whole.physical, &cpu.physical) > 10.0 * TOLERANCE_VALUE);
     }
 }
@@ -181,7 +169,7 @@ fn image_error(a: &[[f64; 3]], b: &[[f64; 3]]) -> f64 {
 
 fn engines_agree(name: &str, shading: ShadingOptions) {
     for seed in 1..=4 {
-        let [cpu, reference] = answers(&model(seed, shading), seed);
+        let [cpu, reference] = results(&model(seed, shading), seed);
         let images = [(&cpu.physical, &reference.physical), (&cpu.radiance, &reference.radiance)];
         for worst in images.map(|(ours, theirs)| image_error(ours, theirs)) {
             println!("{name} {seed} image {worst:.1e}");
@@ -251,15 +239,7 @@ fn cpu_engine_matches_the_reference_without_visibility() {
 #[test]
 fn cpu_probes_match_the_reference() {
     let model = model(6, ShadingOptions::default());
-    let source = AttributeSource {
-        gaussians: &model.gaussians,
-        prototypes: &model.prototypes,
-        options: &model.shading,
-        gathered: &[],
-        arriving: &[],
-        indirect_basis: &[[0.0; 3]; 16],
-        light: None,
-    };
+    let source = AttributeSource::new(&model.gaussians, &model.prototypes, &model.shading);
     let directions = fibonacci_sphere(48);
     let normals = cpu::outward_normals(&source);
     let ours = cpu::Probes::measure(&source, directions.clone(), PLAIN);
@@ -287,17 +267,17 @@ fn cpu_probes_match_the_reference() {
 
 #[test]
 fn comparison_detects_another_model_and_shading_location() {
-    let [cpu, reference] = answers(&model(1, ShadingOptions::default()), 1);
+    let [cpu, reference] = results(&model(1, ShadingOptions::default()), 1);
     let mut rougher = model(1, ShadingOptions::default());
     rougher.gaussians.field_mut(Field::RoughLogit).iter_mut().for_each(|r| *r += 0.05);
-    let [rougher, _] = answers(&rougher, 1);
+    let [rougher, _] = results(&rougher, 1);
     assert!(image_error(&rougher.physical, &reference.physical) > TOLERANCE_VALUE);
-    let normals = |answer: &ParityResult| answer.gradients["normals_raw"].clone();
+    let normals = |result: &ParityResult| result.gradients["normals_raw"].clone();
     let control = distance(&normals(&rougher), &normals(&reference));
     assert!(control.is_finite() && control > TOLERANCE_GRADIENT, "{control}");
     let radiance = image_error(&rougher.radiance, &reference.radiance);
     assert!(radiance < TOLERANCE_VALUE, "the radiance branch has no roughness");
     let deferred = ShadingOptions { shade_at: ShadeAt::Pixel, ..ShadingOptions::default() };
-    let [deferred, _] = answers(&model(1, deferred), 1);
+    let [deferred, _] = results(&model(1, deferred), 1);
     assert!(image_error(&deferred.physical, &cpu.physical) > 10.0 * TOLERANCE_VALUE);
 }

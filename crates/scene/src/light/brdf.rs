@@ -54,13 +54,6 @@ impl BrdfLut {
         Self { resolution, values }
     }
 
-    /// A table from the given values, `[roughness][n.v]`, e.g. of another implementation.
-    ///
-    /// Returns `None` when `values` is not `resolution^2` long.
-    pub fn from_values(resolution: usize, values: Vec<[f32; 2]>) -> Option<Self> {
-        (resolution > 0 && values.len() == resolution * resolution).then_some(Self { resolution, values })
-    }
-
     /// The table every engine uses: [`LUT_SIZE`] texels a side, 4,096 samples, built once.
     pub fn shared() -> &'static Self {
         static TABLE: std::sync::LazyLock<BrdfLut> =

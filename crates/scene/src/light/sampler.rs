@@ -143,14 +143,15 @@ pub fn estimate(
     surface: &Reflector,
     environment: &EnvSampler,
     blocked: [f64; 3],
-    shares: SampleCounts,
+    counts: SampleCounts,
     random: &mut impl Rng,
     mut transmittance: impl FnMut(DVec3) -> f64,
 ) -> Reflected {
     let mut sum = Reflected::default();
-    let SampleCounts { light, cosine, lobe } = shares;
+    let SampleCounts { light, cosine, lobe } = counts;
     for i in 0..light + cosine + lobe {
-        // Each sample draws both numbers, also where its direction is discarded: later samples keep their numbers.
+        // Each sample draws both numbers even if its direction is discarded, so that later samples keep their
+        // numbers.
         let u = [random.random(), random.random()];
         let drawn = if i < light {
             Some(environment.sample(u))
@@ -202,11 +203,11 @@ mod tests {
     }
 
     /// Mean and standard error of the luminance over independent estimates.
-    fn mean(shares: SampleCounts, of: impl Fn(&Reflected) -> f64) -> (f64, f64) {
+    fn mean(counts: SampleCounts, of: impl Fn(&Reflected) -> f64) -> (f64, f64) {
         let (light, r, n) = (EnvSampler::new(lamp()), surface(), 3000);
         let mut random = ChaCha8Rng::seed_from_u64(7);
         let values: Vec<f64> =
-            (0..n).map(|_| of(&estimate(&r, &light, [0.3; 3], shares, &mut random, curtain))).collect();
+            (0..n).map(|_| of(&estimate(&r, &light, [0.3; 3], counts, &mut random, curtain))).collect();
         let mean = values.iter().sum::<f64>() / f64::from(n);
         let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / f64::from(n - 1);
         (mean, (variance / f64::from(n)).sqrt())
@@ -230,14 +231,14 @@ mod tests {
     fn estimate_is_unbiased_for_every_sampling_mixture() {
         let want = exact();
         for (light, cosine, lobe) in [(8, 4, 4), (0, 0, 16), (0, 12, 4), (14, 0, 2)] {
-            let shares = SampleCounts { light, cosine, lobe };
+            let counts = SampleCounts { light, cosine, lobe };
             for (part, want) in [
                 ((|r: &Reflected| r.diffuse[0]) as fn(&Reflected) -> f64, want.diffuse[0]),
                 (|r: &Reflected| r.specular[1], want.specular[1]),
             ] {
-                let (got, error) = mean(shares, part);
-                assert!((got - want).abs() < 4.0 * error, "{shares:?}: {got} +- {error}, not {want}");
-                assert!(error < 0.05 * want, "{shares:?}: an error of {error} would excuse anything");
+                let (got, error) = mean(counts, part);
+                assert!((got - want).abs() < 4.0 * error, "{counts:?}: {got} +- {error}, not {want}");
+                assert!(error < 0.05 * want, "{counts:?}: an error of {error} would excuse anything");
             }
         }
         // Negative control: without the curtain the integral differs by much more than those errors.

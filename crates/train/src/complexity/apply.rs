@@ -2,8 +2,7 @@
 
 use crate::complexity::decide::RequiredVisibility;
 use crate::complexity::evidence::Overlap;
-use relume_engine::TrainState;
-use relume_engine::cpu::{sigmoid, softmax};
+use relume_engine::{TrainState, sigmoid, softmax};
 use relume_scene::light::UNOCCLUDED_SH0;
 use relume_scene::{Field, Gaussians, IndirectForm, VisibilityForm, sh_count};
 

@@ -5,7 +5,7 @@
 
 use std::f32::consts::PI;
 
-use relume_engine::cpu::softmax;
+use relume_engine::softmax;
 use relume_scene::light::{LightTables, nrsh};
 use relume_scene::{Field, Gaussians, sh_count};
 
@@ -233,8 +233,7 @@ pub(super) fn half_open(sh_degree: usize, normal: [f32; 3]) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use relume_scene::light::UNOCCLUDED_SH0;
-    use relume_scene::light::{EnvOperators, TableResolution};
+    use relume_scene::light::{EnvOperators, TableResolution, UNOCCLUDED_SH0};
 
     #[test]
     fn visibility_errors_match_the_analytic_half_sky_energy() {

@@ -4,8 +4,7 @@
 use crate::complexity::evidence;
 use crate::context::StepContext;
 use crate::dataset::Dataset;
-use relume_engine::cpu::evaluation;
-use relume_engine::{Photo, PhotoSize, TrainState};
+use relume_engine::{Photo, PhotoSize, TrainState, evaluation};
 use relume_spec::training::{ComplexitySetting, TrainConfig};
 
 /// Number of photographs for blending weights if an approximate value is sufficient.

@@ -4,8 +4,7 @@ use crate::complexity::decide::{self, Convexity, RequiredVisibility};
 use crate::complexity::photographs::DecisionContext;
 use crate::complexity::state::ComplexityState;
 use crate::complexity::{apply, evidence};
-use relume_engine::TrainState;
-use relume_engine::cpu::evaluation;
+use relume_engine::{TrainState, evaluation};
 use relume_scene::{Field, IndirectForm, LightSplit, VisibilityForm};
 use relume_spec::training::ComplexitySetting;
 

@@ -1,7 +1,5 @@
 //! Tests of decisions on constructed states, and of what applying them preserves.
 
-use serde_json::Value;
-
 use super::decide::RequiredVisibility;
 use super::photographs::DecisionContext;
 use super::sh_degrees::{self, PhotoEvidence};
@@ -9,8 +7,8 @@ use super::state::ComplexityState;
 use super::{ablations, apply, evidence};
 use crate::context::StepContext;
 use crate::dataset::Dataset;
-use relume_engine::cpu::{Pass, evaluation, radiance_image};
-use relume_engine::{Photo, RasterCamera, TrainState};
+use relume_engine::cpu::{Pass, radiance_image};
+use relume_engine::{Photo, RasterCamera, TrainState, evaluation};
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
 use relume_scene::{Field, Gaussians, IndirectForm, Model, ShadingOptions, VisibilityForm};
@@ -21,19 +19,12 @@ fn small_state() -> TrainState {
     for (_, _, data) in gaussians.fields_mut() {
         data.iter_mut().enumerate().for_each(|(i, v)| *v = ((i * 37) % 23) as f32 / 23.0 - 0.4);
     }
-    let mut state = TrainState::new(Model {
+    let mut state = TrainState::new(Model::new(
         gaussians,
-        prototypes: vec![[0.5, 0.4, 0.3], [0.51, 0.41, 0.3], [0.9, 0.8, 0.1], [0.1, 0.2, 0.3]],
-        env_raw: vec![[0.5; 3]; 8],
-        env_width: 4,
-        env_height: 2,
-        lights: Default::default(),
-        shading: ShadingOptions::default(),
-        world_scale: 1.0,
-        world_offset: glam::DVec3::ZERO,
-        framing: None,
-        card: Value::Null,
-    });
+        vec![[0.5, 0.4, 0.3], [0.51, 0.41, 0.3], [0.9, 0.8, 0.1], [0.1, 0.2, 0.3]],
+        vec![[0.5; 3]; 8],
+        (4, 2),
+    ));
     state.labels = state.model.gaussians.field(Field::Visibility).to_vec();
     state.gathered = (0..5).map(|i| [i as f32; 6]).collect();
     state.moments.first.field_mut(Field::Mean).fill(7.0);
@@ -42,15 +33,8 @@ fn small_state() -> TrainState {
 
 fn albedo(state: &TrainState, i: usize) -> [f32; 3] {
     let options = ShadingOptions::default();
-    let source = relume_engine::cpu::AttributeSource {
-        gaussians: &state.model.gaussians,
-        prototypes: &state.model.prototypes,
-        options: &options,
-        gathered: &[],
-        arriving: &[],
-        indirect_basis: &[[0.0; 3]; 16],
-        light: None,
-    };
+    let source =
+        relume_engine::cpu::AttributeSource::new(&state.model.gaussians, &state.model.prototypes, &options);
     source.albedo(i)
 }
 
@@ -95,12 +79,12 @@ fn making_a_model_dielectric_keeps_its_diffuse_colour() {
     let (before, mut after) = (small_state(), small_state());
     apply::make_dielectric(&mut after);
     for i in 0..5 {
-        let left = 1.0 - relume_engine::cpu::sigmoid(before.model.gaussians.row(Field::MetalLogit, i)[0]);
+        let left = 1.0 - relume_engine::sigmoid(before.model.gaussians.row(Field::MetalLogit, i)[0]);
         let [a, b] = [albedo(&before, i), albedo(&after, i)];
         // An albedo is clamped below 0 and above 1.
         let inside = |v: f32| v > 0.001 && v < 0.999;
         assert!((0..3).all(|c| !inside(a[c]) || (a[c] * left - b[c]).abs() < 1e-5), "{a:?} {b:?}");
-        assert!(relume_engine::cpu::sigmoid(after.model.gaussians.row(Field::MetalLogit, i)[0]) < 1e-3);
+        assert!(relume_engine::sigmoid(after.model.gaussians.row(Field::MetalLogit, i)[0]) < 1e-3);
     }
 }
 

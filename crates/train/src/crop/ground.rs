@@ -4,8 +4,7 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use relume_engine::TrainState;
-use relume_engine::cpu::evaluation;
+use relume_engine::{TrainState, evaluation};
 use relume_scene::{Camera, Field};
 
 /// Number of planes that are tested.

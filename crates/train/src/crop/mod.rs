@@ -7,12 +7,9 @@
 mod ground;
 mod region;
 
-use glam::DVec3;
-
 use crate::dataset::Dataset;
-use relume_engine::TrainState;
-use relume_engine::cpu::evaluation;
-use relume_scene::{Camera, Field, Gaussians, LightSplit, Model, ShadingOptions};
+use relume_engine::{TrainState, evaluation};
+use relume_scene::{Camera, Field, Gaussians, Model, ShadingOptions};
 
 pub use region::Region;
 
@@ -75,17 +72,8 @@ impl SubjectCrop {
 
     fn state(&self, shading: ShadingOptions) -> TrainState {
         TrainState::new(Model {
-            gaussians: self.gaussians.clone(),
-            prototypes: vec![[0.5; 3]],
-            env_raw: vec![[0.0; 3]; 8],
-            env_width: 4,
-            env_height: 2,
-            lights: LightSplit::default(),
             shading,
-            world_scale: 1.0,
-            world_offset: DVec3::ZERO,
-            framing: None,
-            card: serde_json::Value::Null,
+            ..Model::new(self.gaussians.clone(), vec![[0.5; 3]], vec![[0.0; 3]; 8], (4, 2))
         })
     }
 }

@@ -117,13 +117,13 @@ impl PhotoCache {
     pub fn prefetch(&self, next: impl Iterator<Item = (Key, Arc<StoredPhoto>)>) {
         let mut state = self.shared.lock();
         state.wanted.clear();
-        let mut room = state.most;
+        let mut left = state.most;
         for (key, stored) in next {
             let bytes = stored.decoded_bytes(key.1);
-            if bytes > room {
+            if bytes > left {
                 break;
             }
-            room -= bytes;
+            left -= bytes;
             if state.entries.contains_key(&key) {
                 state.touch(key);
             } else {
@@ -214,7 +214,7 @@ impl SharedCache {
         Arc::new(stored.decoded(key.1))
     }
 
-    /// Decodes into a new entry. The caller has made room for it.
+    /// Decodes into a new entry. The caller has freed memory for it.
     fn decode_into(
         &self,
         mut state: MutexGuard<'_, CacheState>,

@@ -1,7 +1,6 @@
 //! The gain of a photograph that results from automatic exposure and white balance.
 
-use relume_engine::Photo;
-use relume_engine::cpu::{linear_from_srgb, srgb};
+use relume_engine::{Photo, linear_from_srgb, srgb};
 
 /// Linear gain of a photograph, by channel.
 pub type Gain = [f32; 3];

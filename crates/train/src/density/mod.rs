@@ -6,8 +6,7 @@
 
 mod order;
 
-use relume_engine::cpu::sigmoid;
-use relume_engine::{DensityPlan, DensitySignals, PlannedGaussian, SplitOrigin};
+use relume_engine::{DensityPlan, DensitySignals, PlannedGaussian, SplitOrigin, sigmoid};
 
 /// Mean absgrad (half image widths) above which a Gaussian may be split.
 const SPLIT_ABSGRAD: f32 = 4e-4;

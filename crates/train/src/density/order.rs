@@ -4,7 +4,8 @@
 /// Bits per coordinate.
 const BITS: u32 = 10;
 
-/// Positions of points on the curve through their bounding box. Non-finite points do not affect the box.
+/// Positions of points on the curve through their bounding box. Points that are not finite do not affect the
+/// box; a NaN coordinate maps to the lowest cell.
 pub(super) fn morton_codes(points: &[[f32; 3]]) -> Vec<u32> {
     let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for point in points.iter().filter(|point| point.iter().all(|x| x.is_finite())) {

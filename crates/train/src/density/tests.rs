@@ -22,19 +22,7 @@ fn row(n: usize, wanted: &[usize]) -> (Gaussians, DensityStats) {
 
 /// A state of these Gaussians under a light of 4 x 2 texels.
 fn state(gaussians: Gaussians, density: DensityStats) -> TrainState {
-    let model = Model {
-        gaussians,
-        prototypes: vec![[0.5; 3]],
-        env_raw: vec![[0.5; 3]; 8],
-        env_width: 4,
-        env_height: 2,
-        lights: Default::default(),
-        shading: Default::default(),
-        world_scale: 1.0,
-        world_offset: glam::DVec3::ZERO,
-        framing: None,
-        card: serde_json::Value::Null,
-    };
+    let model = Model::new(gaussians, vec![[0.5; 3]], vec![[0.5; 3]; 8], (4, 2));
     TrainState { density, ..TrainState::new(model) }
 }
 

@@ -9,7 +9,7 @@ use crate::eval::totals::Mean;
 use crate::eval::views::{on_white, photograph};
 use crate::render::{Frame, Renderer};
 use relume_capture::{Capture, CaptureView};
-use relume_engine::cpu::{Surface, SurfaceShader};
+use relume_engine::{Surface, SurfaceShader};
 use relume_scene::Model;
 use relume_spec::rendering::Output;
 

@@ -5,12 +5,11 @@ use std::sync::Arc;
 use crate::eval::evaluate::{EvalError, evenly_spaced, lights_of, refused};
 use crate::eval::image::DisplayImage;
 use crate::eval::sheet::{Sheet, error_map, grey};
-use crate::eval::views::{RecoveredLight, ViewLayers, photograph, relit, shown_by};
-use crate::render::{PreparedLight, Renderer};
+use crate::eval::views::{ViewLayers, light_of, photograph, relit, shown_by};
+use crate::render::{PreparedLight, Renderer, RotatedLight};
 use relume_capture::{Capture, CaptureView};
 use relume_engine::Device;
-use relume_scene::srgb;
-use relume_scene::{Model, Plane};
+use relume_scene::{Model, Plane, srgb};
 use relume_spec::rendering::Quality;
 
 /// Draws a sheet of `rows` test views, evenly spaced: photograph, both branches, each light next to its ground truth,
@@ -32,14 +31,14 @@ pub fn contact_sheet(
     }
     let lights = lights_of(&views, capture);
     let renderer = Renderer::on(model, device)?;
-    let mut own = RecoveredLight::default();
+    let mut own = RotatedLight::default();
     let mut prepared: Vec<(&str, PreparedLight)> = Vec::with_capacity(lights.len());
     for name in &lights {
         prepared.push((*name, renderer.prepare_light(&capture.lights[*name])?));
     }
     let mut sheet = Sheet::new(column_names(&lights));
     for view in views {
-        let light = own.of(&renderer, view)?;
+        let light = light_of(&renderer, view, &mut own)?;
         let layers = ViewLayers::render(&renderer, &view.camera, light, quality)
             .map_err(|source| refused(view, source))?;
         let mut cells = vec![

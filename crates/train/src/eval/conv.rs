@@ -202,7 +202,7 @@ mod tests {
             let fast = Conv::new(&weights, &bias, k, (stride, pad)).apply(&input);
             let slow = plainly(&input, &weights, &bias, k, stride, pad);
             assert_eq!(fast.values, slow, "kernel {k} stride {stride} padding {pad}");
-            // The control: another padding gives another result.
+            // Negative control: another padding gives another result.
             assert_ne!(Conv::new(&weights, &bias, k, (stride, pad + 1)).apply(&input).values, slow);
         }
     }

@@ -9,13 +9,10 @@ use crate::eval::layers::albedo_psnr;
 use crate::eval::lpips::Lpips;
 use crate::eval::report::{AlbedoScores, ImageScores, RelitScores, Report};
 use crate::eval::totals::{ImageTotals, LayerTotals, Mean};
-use crate::eval::views::{
-    RecoveredLight, ViewLayers, is_cropped, photograph, relit, shown_by, with_scaled_albedo,
-};
-use crate::render::{RenderError, Renderer};
+use crate::eval::views::{ViewLayers, is_cropped, light_of, photograph, relit, shown_by, with_scaled_albedo};
+use crate::render::{RenderError, Renderer, RotatedLight};
 use relume_capture::{Capture, CaptureView};
-use relume_engine::Device;
-use relume_engine::DeviceError;
+use relume_engine::{Device, DeviceError};
 use relume_scene::{ImageRgba, Model, Plane};
 use relume_spec::rendering::{Output, Quality, Tier};
 
@@ -150,12 +147,12 @@ impl Evaluation<'_> {
 
     /// Compares novel views and layers under the recovered light, rotated as in each photograph.
     fn under_recovered_light(&self, renderer: &Renderer, report: &mut Report) -> Result<(), EvalError> {
-        let mut own = RecoveredLight::default();
+        let mut own = RotatedLight::default();
         let (mut shaded, mut radiance) = (ImageTotals::default(), ImageTotals::default());
         let (mut shaded_matched, mut radiance_matched) = (ImageTotals::default(), ImageTotals::default());
         let mut totals = LayerTotals::default();
         for view in &self.views {
-            let light = own.of(renderer, view)?;
+            let light = light_of(renderer, view, &mut own)?;
             let layers = ViewLayers::render(renderer, &view.camera, light, self.options.quality)
                 .map_err(|source| refused(view, source))?;
             let truth = shown_by(renderer.model(), view, &layers.alpha);

@@ -2,8 +2,7 @@
 //! model's scores.
 
 use crate::eval::image::DisplayImage;
-use relume_scene::Plane;
-use relume_scene::srgb;
+use relume_scene::{Plane, srgb};
 
 /// `predicted`, which is composited on white by `alpha`, multiplied by one linear gain per channel: the gain that
 /// minimises the squared difference from `truth` in linear light.

@@ -165,7 +165,7 @@ mod tests {
         ratios.add(&predicted, &truth, &mask);
         let median = ratios.median().unwrap();
         (0..3).for_each(|k| assert!((median[k] / scale[k] - 1.0).abs() < 1e-5, "{median:?}"));
-        // The control: without the mask the background determines the median.
+        // Negative control: without the mask the background determines the median.
         let mut unmasked = RatioMedian::default();
         unmasked.add(&predicted, &truth, &[true; 99]);
         assert!((unmasked.median().unwrap()[0] / scale[0] - 1.0).abs() > 0.1);

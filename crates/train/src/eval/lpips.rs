@@ -43,7 +43,7 @@ pub enum LpipsError {
     Tensor {
         /// The tensor.
         name: String,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
 }

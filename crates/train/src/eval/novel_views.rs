@@ -7,8 +7,8 @@ use crate::eval::evaluate::{check_sizes, refused};
 use crate::eval::exposure::matched;
 use crate::eval::report::ImageScores;
 use crate::eval::totals::ImageTotals;
-use crate::eval::views::{RecoveredLight, ViewLayers, shown_by};
-use crate::render::Renderer;
+use crate::eval::views::{ViewLayers, light_of, shown_by};
+use crate::render::{Renderer, RotatedLight};
 use relume_capture::CaptureView;
 use relume_engine::Device;
 use relume_scene::Model;
@@ -17,7 +17,7 @@ use relume_spec::rendering::Quality;
 /// A comparison of a model with photographs, as in [`crate::eval::evaluate`], without LPIPS.
 pub struct NovelViews {
     renderer: Renderer,
-    light: RecoveredLight,
+    light: RotatedLight,
     quality: Quality,
     has_materials: bool,
     shaded: ImageTotals,
@@ -45,7 +45,7 @@ impl NovelViews {
         Ok(Self {
             has_materials: model.has_materials(),
             renderer: Renderer::on(model, device)?,
-            light: RecoveredLight::default(),
+            light: RotatedLight::default(),
             quality,
             shaded: ImageTotals::default(),
             radiance: ImageTotals::default(),
@@ -59,7 +59,7 @@ impl NovelViews {
     /// See [`EvalError`].
     pub fn compare(&mut self, view: &CaptureView) -> Result<(), EvalError> {
         check_sizes(view)?;
-        let light = self.light.of(&self.renderer, view)?;
+        let light = light_of(&self.renderer, view, &mut self.light)?;
         let layers = ViewLayers::render(&self.renderer, &view.camera, light, self.quality)
             .map_err(|source| refused(view, source))?;
         let truth = shown_by(self.renderer.model(), view, &layers.alpha);

@@ -1,7 +1,6 @@
 //! Running means over views.
 
-use crate::eval::image::DisplayImage;
-use crate::eval::image::{psnr, ssim};
+use crate::eval::image::{DisplayImage, psnr, ssim};
 use crate::eval::layers::{RatioMedian, albedo_psnr, masked_mae, normal_errors};
 use crate::eval::lpips::Lpips;
 use crate::eval::report::{ImageScores, Report};

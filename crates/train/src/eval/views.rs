@@ -1,11 +1,10 @@
 //! A model's renderings of one test view, as images and layers that are compared with ground truth.
 
 use crate::eval::image::DisplayImage;
-use crate::render::{Frame, PreparedLight, RenderError, Renderer};
+use crate::render::{Frame, PreparedLight, RenderError, Renderer, RotatedLight};
 use relume_capture::CaptureView;
 use relume_engine::DeviceError;
-use relume_scene::srgb;
-use relume_scene::{Camera, ImageRgba, Model, PackedImage, Plane};
+use relume_scene::{Camera, ImageRgba, Model, PackedImage, Plane, srgb};
 use relume_spec::rendering::{Output, Quality};
 
 /// A test view under the model's recovered light, with every layer for which ground truth may exist.
@@ -34,33 +33,16 @@ const LAYERS: [Output; 8] = [
     Output::Depth,
 ];
 
-/// The recovered light of a model, rotated as in a test view.
-#[derive(Default)]
-pub(crate) struct RecoveredLight {
-    /// Degrees, and the light rotated by them, of the last view.
-    prepared: Option<(f64, PreparedLight)>,
-}
-
-impl RecoveredLight {
-    /// The light of `view`; prepared again only if its rotation differs from that of the previous view.
-    ///
-    /// # Errors
-    /// The device failed.
-    pub(crate) fn of(
-        &mut self,
-        renderer: &Renderer,
-        view: &CaptureView,
-    ) -> Result<&PreparedLight, DeviceError> {
-        let degrees = view.light_rotation_deg;
-        let (_, light) = match self.prepared.take().filter(|(turn, _)| *turn == degrees) {
-            Some(prepared) => self.prepared.insert(prepared),
-            None => {
-                let turned = renderer.model().recovered_light().rotated_and_scaled(degrees, 1.0);
-                self.prepared.insert((degrees, renderer.prepare_light(turned)?))
-            }
-        };
-        Ok(light)
-    }
+/// The recovered light of a model, rotated as in `view`.
+///
+/// # Errors
+/// The device failed.
+pub(crate) fn light_of<'a>(
+    renderer: &Renderer,
+    view: &CaptureView,
+    light: &'a mut RotatedLight,
+) -> Result<&'a PreparedLight, DeviceError> {
+    light.at(renderer, &renderer.model().recovered_light(), view.light_rotation_deg)
 }
 
 impl ViewLayers {
@@ -178,7 +160,7 @@ mod tests {
         // Linear 0.25 at half coverage: premultiplied 0.125.
         let shown = on_white(&one_pixel([0.125; 3], 0.5), Output::Rgb).values[0][0];
         assert!((shown - (0.5 * srgb::encode(0.25) + 0.5)).abs() < 1e-6);
-        // The control: blending in linear light first gives another value.
+        // Negative control: blending in linear light first gives another value.
         assert!((shown - srgb::encode(0.125 + 0.5)).abs() > 0.02);
     }
 
@@ -201,19 +183,7 @@ mod tests {
     fn albedo_scaling_changes_only_prototypes_and_residuals() {
         let mut gaussians = Gaussians::zeroed(2, 1, 0, 0);
         gaussians.fields_mut().for_each(|(_, _, d)| d.fill(1.0));
-        let model = Model {
-            gaussians,
-            prototypes: vec![[0.5; 3]],
-            env_raw: vec![[0.0; 3]; 2],
-            env_width: 2,
-            env_height: 1,
-            lights: Default::default(),
-            shading: Default::default(),
-            world_scale: 1.0,
-            world_offset: glam::DVec3::ZERO,
-            framing: None,
-            card: serde_json::Value::Null,
-        };
+        let model = Model::new(gaussians, vec![[0.5; 3]], vec![[0.0; 3]; 2], (2, 1));
         let mut scaled = with_scaled_albedo(&model, [2.0, 3.0, 4.0]);
         assert_eq!(scaled.prototypes, vec![[1.0, 1.5, 2.0]]);
         assert_eq!(scaled.gaussians.field(Field::Residual), &[2.0, 3.0, 4.0, 2.0, 3.0, 4.0]);

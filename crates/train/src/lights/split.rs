@@ -62,7 +62,7 @@ pub fn start(model: &mut Model, split: &LightSplit, found: &[DetectedLight]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use relume_scene::{Gaussians, ShadingOptions};
+    use relume_scene::Gaussians;
 
     fn found(direction: [f32; 3], strength: f32) -> DetectedLight {
         DetectedLight { light: SplitLight { direction, radius: 0.005 }, strength: [strength; 3], gain: 0.1 }
@@ -84,19 +84,12 @@ mod tests {
 
     #[test]
     fn split_start_sets_light_strength_and_keeps_the_level() {
-        let mut model = Model {
-            gaussians: Gaussians::zeroed(1, 1, 0, 0),
-            prototypes: vec![[0.5; 3]],
-            env_raw: vec![[0.3, 0.0, -0.5]; 32 * 16],
-            env_width: 32,
-            env_height: 16,
-            lights: LightSplit::default(),
-            shading: ShadingOptions::default(),
-            world_scale: 1.0,
-            world_offset: glam::DVec3::ZERO,
-            framing: None,
-            card: serde_json::Value::Null,
-        };
+        let mut model = Model::new(
+            Gaussians::zeroed(1, 1, 0, 0),
+            vec![[0.5; 3]],
+            vec![[0.3, 0.0, -0.5]; 32 * 16],
+            (32, 16),
+        );
         let texels = texel_directions(32, 16);
         let up = |model: &Model| {
             let texels = model.env_raw.iter().zip(&texels);

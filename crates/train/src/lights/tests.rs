@@ -1,7 +1,7 @@
 use super::*;
-use relume_engine::ProbeSettings;
-use relume_engine::cpu::{Probes, srgb};
-use relume_scene::{LightSplit, Model, ShadingOptions};
+use relume_engine::cpu::Probes;
+use relume_engine::{ProbeSettings, srgb};
+use relume_scene::Model;
 
 /// Direction of the sun in the test scenes.
 const SUN: [f32; 3] = [0.48, 0.36, 0.8];
@@ -31,19 +31,7 @@ fn plate(strength: f32) -> TrainState {
         g.row_mut(Field::Visibility, i)[0] = UNOCCLUDED_SH0;
         g.row_mut(Field::Visibility, i)[2] = 0.5;
     }
-    let model = Model {
-        gaussians: g,
-        prototypes: vec![[0.5; 3]],
-        env_raw: vec![[0.0; 3]; 32 * 16],
-        env_width: 32,
-        env_height: 16,
-        lights: LightSplit::default(),
-        shading: ShadingOptions::default(),
-        world_scale: 1.0,
-        world_offset: glam::DVec3::ZERO,
-        framing: None,
-        card: serde_json::Value::Null,
-    };
+    let model = Model::new(g, vec![[0.5; 3]], vec![[0.0; 3]; 32 * 16], (32, 16));
     let mut state = TrainState::new(model);
     let probes =
         Probes::measure(&evaluation::source(&state), fibonacci_sphere(256), ProbeSettings::default());

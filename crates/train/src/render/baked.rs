@@ -3,8 +3,7 @@
 use rayon::prelude::*;
 
 use crate::render::renderer::{PreparedLight, Renderer};
-use relume_engine::cpu::{AttributeSource, SurfaceShader};
-use relume_engine::fibonacci_sphere;
+use relume_engine::{HostLight, fibonacci_sphere};
 use relume_scene::light::sh_eval;
 use relume_scene::{Field, Model, VisibilityForm, sh_count};
 use relume_spec::rendering::MAX_BAKED_DEGREE;
@@ -21,36 +20,26 @@ impl Renderer {
     /// which it is visible.
     pub fn baked(&self, light: &PreparedLight, degree: usize) -> Model {
         let degree = degree.min(MAX_BAKED_DEGREE);
-        let frames = self.frames.on_cpu();
-        let on_cpu = self.light_on_cpu(light);
-        let (source, shader) = (frames.lit_source(on_cpu), frames.shader(&on_cpu.tables));
+        let (model, light) = (self.model(), self.light_on_host(light));
         let directions = fibonacci_sphere(DIRECTIONS);
         let count = sh_count(degree);
-        let mut coefficients = vec![0.0f32; source.gaussians.len() * 3 * count];
+        let mut coefficients = vec![0.0f32; model.gaussians.len() * 3 * count];
         coefficients.par_chunks_mut(3 * count).enumerate().with_min_len(64).for_each(|(i, out)| {
-            fit(&source, &shader, i, &directions, degree, out);
+            fit(model, light, i, &directions, degree, out);
         });
-        let model = self.model();
         Model { gaussians: model.gaussians.clone().with_radiance(degree, coefficients), ..model.clone() }
     }
 }
 
 /// Weighted least squares for Gaussian `i`.
-fn fit(
-    source: &AttributeSource<'_>,
-    shader: &SurfaceShader<'_>,
-    i: usize,
-    directions: &[[f32; 3]],
-    degree: usize,
-    out: &mut [f32],
-) {
+fn fit(model: &Model, light: &HostLight, i: usize, directions: &[[f32; 3]], degree: usize, out: &mut [f32]) {
     let count = sh_count(degree);
     let (mut matrix, mut right) =
         ([[0.0f64; MAX_COEFFICIENTS]; MAX_COEFFICIENTS], [[0.0f64; 3]; MAX_COEFFICIENTS]);
     for along in directions {
-        let sent = source.outgoing(i, *along, shader).total();
+        let sent = light.outgoing(i, *along).total();
         let shown = sent.map(|c| f64::from(relume_scene::srgb::encode(c)) - 0.5);
-        let weight = seen_from(source, i, along.map(|a| -a)).max(MIN_WEIGHT);
+        let weight = seen_from(model, i, along.map(|a| -a)).max(MIN_WEIGHT);
         let mut y = [0.0f64; MAX_COEFFICIENTS];
         sh_eval(degree, along.map(f64::from), &mut y);
         for j in 0..count {
@@ -63,15 +52,16 @@ fn fit(
 }
 
 /// Visibility of Gaussian `i` in `direction`, 0 to 1.
-fn seen_from(source: &AttributeSource<'_>, i: usize, direction: [f32; 3]) -> f64 {
-    if source.options.visibility == VisibilityForm::Off {
+fn seen_from(model: &Model, i: usize, direction: [f32; 3]) -> f64 {
+    let Model { gaussians, shading, .. } = model;
+    if shading.visibility == VisibilityForm::Off {
         return 1.0;
     }
-    let coefficients = source.gaussians.row(Field::Visibility, i);
+    let coefficients = gaussians.row(Field::Visibility, i);
     let mut y = [0.0f32; 81];
-    sh_eval(source.gaussians.visibility_degree(), direction, &mut y);
+    sh_eval(gaussians.visibility_degree(), direction, &mut y);
     let raw: f32 = coefficients.iter().zip(y).map(|(c, y)| c * y).sum();
-    f64::from(match source.options.visibility {
+    f64::from(match shading.visibility {
         VisibilityForm::Sigmoid => 1.0 / (1.0 + (-raw).exp()),
         _ => raw.clamp(0.0, 1.0),
     })
@@ -109,7 +99,7 @@ mod tests {
 
     use super::*;
     use relume_compare::{largest_difference, worst};
-    use relume_engine::cpu::srgb;
+    use relume_engine::srgb;
     use relume_scene::{EnvMap, Gaussians, IndirectForm, ShadingOptions};
 
     /// One flat Gaussian of a reddish dielectric, unoccluded.
@@ -122,19 +112,7 @@ mod tests {
         g.row_mut(Field::RoughLogit, 0)[0] = 1.0;
         let off = (VisibilityForm::Off, IndirectForm::Off);
         let shading = ShadingOptions { visibility: off.0, indirect: off.1, ..ShadingOptions::default() };
-        Model {
-            gaussians: g,
-            prototypes: vec![[0.0; 3]],
-            env_raw: vec![[0.0; 3]; 2],
-            env_width: 2,
-            env_height: 1,
-            lights: Default::default(),
-            shading,
-            world_scale: 1.0,
-            world_offset: Default::default(),
-            framing: None,
-            card: serde_json::Value::Null,
-        }
+        Model { shading, ..Model::new(g, vec![[0.0; 3]], vec![[0.0; 3]; 2], (2, 1)) }
     }
 
     /// Largest difference between the baked colour under a uniform light of radiance `baked` and the shaded colour
@@ -144,11 +122,9 @@ mod tests {
         let light = |level: f32| renderer.prepare_light(EnvMap::constant(16, 8, [level; 3])).unwrap();
         let model = renderer.baked(&light(baked), MAX_BAKED_DEGREE);
         let light = light(shaded);
-        let on_cpu = renderer.light_on_cpu(&light);
-        let (frames, coefficients) = (renderer.frames.on_cpu(), model.gaussians.row(Field::Radiance, 0));
-        let source: AttributeSource<'_> = frames.lit_source(on_cpu);
+        let (host, coefficients) = (renderer.light_on_host(&light), model.gaussians.row(Field::Radiance, 0));
         let differs = |along: [f32; 3]| {
-            let sent = source.outgoing(0, along, &frames.shader(&on_cpu.tables)).total();
+            let sent = host.outgoing(0, along).total();
             let mut y = [0.0f32; MAX_COEFFICIENTS];
             sh_eval(MAX_BAKED_DEGREE, along, &mut y);
             let shown: [f32; 3] = std::array::from_fn(|c| {

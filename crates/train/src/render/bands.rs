@@ -19,7 +19,7 @@ pub struct Bands<'a> {
     quality: Quality,
     /// Sorted, without duplicates, including coverage.
     outputs: Vec<Output>,
-    /// Rows of a band: whole tiles, so that no tile is blended twice.
+    /// Rows of a band: whole tiles where the device allows, so that no tile is blended twice.
     rows: usize,
     /// Completed rows.
     done: usize,
@@ -63,12 +63,13 @@ impl Renderer {
         let view = self.view(camera)?;
         let (width, height) = (camera.width, camera.height);
         let frame = Frame { width, height, planes: BTreeMap::new() };
-        let most = match (self.frames.has_device(), quality.tier) {
+        let max_cost = match (self.frames.is_gpu(), quality.tier) {
             (false, _) => Quality::CPU_BAND_COST,
             (true, Tier::MonteCarlo) => Quality::SAMPLED_BAND_COST,
             (true, _) => Quality::BAND_COST,
         };
-        let rows = rows(view.width, quality, most);
+        let max_rows = self.frames.max_rows(view.width, self.colour(quality.tier, &outputs));
+        let rows = rows(view.width, quality, max_cost, max_rows);
         Ok(Bands { renderer: self, light, view, quality, outputs, rows, done: 0, frame })
     }
 }
@@ -114,14 +115,14 @@ impl Bands<'_> {
             depth_scale: (1.0 / renderer.model().world_scale) as f32,
         };
         Ok(match quality.tier {
-            Tier::Preview | Tier::Standard => renderer.frames.render(&job, &light.frame)?,
+            Tier::Preview | Tier::Standard => light.frame.render(&job)?,
             Tier::High | Tier::MonteCarlo => self.render_by_rays(&job, first)?,
         })
     }
 
     /// Renders a band of a ray-traced tier on the device.
     fn render_by_rays(&self, job: &FrameJob<'_>, first: usize) -> Result<Frame, DeviceError> {
-        let (frames, light, quality) = (&self.renderer.frames, self.light, self.quality);
+        let (model, light, quality) = (self.renderer.model(), self.light, self.quality);
         let rays = match quality.tier {
             Tier::MonteCarlo => Some(RayLight::Sampled {
                 environment: light.sampler(),
@@ -129,12 +130,12 @@ impl Bands<'_> {
                 seed: quality.seed,
                 pixels_before: pixels_before(&job.view, first),
             }),
-            _ => light.split(frames.model().gaussians.visibility_degree()).rays(),
+            _ => light.split(model.gaussians.visibility_degree()).rays(),
         };
         match rays {
-            Some(rays) => frames.render_by_rays(job, &light.frame, &rays),
+            Some(rays) => light.frame.render_by_rays(job, &rays),
             // Without sharp lights no rays are needed.
-            None => frames.render(job, &light.frame),
+            None => light.frame.render(job),
         }
     }
 }
@@ -144,11 +145,12 @@ fn pixels_before(view: &RasterCamera, first: usize) -> u64 {
     (first * view.width) as u64
 }
 
-/// Rows of a band: as many as cost at most `most`, at least one row of tiles.
-fn rows(width: usize, quality: Quality, most: u64) -> usize {
-    let pixels = most / quality.pixel_cost();
+/// Rows of a band: as many as cost at most `max_cost`, at least one row of tiles, and at most `max_rows`.
+fn rows(width: usize, quality: Quality, max_cost: u64, max_rows: usize) -> usize {
+    let pixels = max_cost / quality.pixel_cost();
     let rows = usize::try_from(pixels).unwrap_or(usize::MAX) / width.max(1);
-    (rows / TILE).max(1) * TILE
+    let of_whole_tiles = |rows: usize| (rows / TILE).max(1) * TILE;
+    of_whole_tiles(rows.min(max_rows)).min(max_rows)
 }
 
 #[cfg(test)]
@@ -159,7 +161,7 @@ mod tests {
 
     use super::*;
     use relume_compare::rms_difference;
-    use relume_scene::{EnvMap, Field, Gaussians, Model, ShadingOptions};
+    use relume_scene::{EnvMap, Field, Gaussians, Model};
 
     /// A slanted row of balls that crosses every band.
     fn balls() -> Renderer {
@@ -172,19 +174,7 @@ mod tests {
             gaussians.row_mut(Field::OpacityLogit, i)[0] = 4.0;
             gaussians.row_mut(Field::Visibility, i)[0] = relume_scene::light::UNOCCLUDED_SH0;
         }
-        Renderer::new(Arc::new(Model {
-            gaussians,
-            prototypes: vec![[0.5; 3]],
-            env_raw: vec![[0.0; 3]; 8],
-            env_width: 4,
-            env_height: 2,
-            lights: Default::default(),
-            shading: ShadingOptions::default(),
-            world_scale: 1.0,
-            world_offset: DVec3::ZERO,
-            framing: None,
-            card: serde_json::Value::Null,
-        }))
+        Renderer::new(Arc::new(Model::new(gaussians, vec![[0.5; 3]], vec![[0.0; 3]; 8], (4, 2))))
     }
 
     /// Root mean square difference of two planes, relative to the standard deviation of the first.
@@ -229,15 +219,16 @@ mod tests {
         for (width, quality) in
             [(4096, Quality::from(Tier::Standard)), (700, Tier::High.into()), (512, Quality::monte_carlo(64))]
         {
-            let rows = rows(width, quality, Quality::BAND_COST);
+            let rows = rows(width, quality, Quality::BAND_COST, usize::MAX);
             assert!(rows.is_multiple_of(TILE) && rows > 0);
             let cost = (rows * width) as u64 * quality.pixel_cost();
             assert!(cost <= Quality::BAND_COST || rows == TILE, "{width} {quality:?}: {rows} rows");
         }
-        assert_eq!(rows(1 << 16, Quality::monte_carlo(Quality::MAX_SAMPLES), Quality::BAND_COST), TILE);
-        assert!(
-            rows(1, Tier::Preview.into(), Quality::CPU_BAND_COST) >= 1 << 16,
-            "a narrow frame is one band"
-        );
+        let of = |width, quality, max_rows| rows(width, quality, Quality::BAND_COST, max_rows);
+        assert_eq!(of(1 << 16, Quality::monte_carlo(Quality::MAX_SAMPLES), usize::MAX), TILE);
+        let narrow = rows(1, Tier::Preview.into(), Quality::CPU_BAND_COST, usize::MAX);
+        assert!(narrow >= 1 << 16, "a narrow frame is one band");
+        let limited = [3 * TILE + 5, TILE, 7].map(|max_rows| of(64, Tier::Standard.into(), max_rows));
+        assert_eq!(limited, [3 * TILE, TILE, 7], "the device limits the rows");
     }
 }

@@ -33,9 +33,6 @@ pub struct EncodedFrame {
 ///
 /// # Errors
 /// If the frame lacks an output, or the encoder fails.
-///
-/// # Errors
-/// When the frame lacks an output, or the encoder fails.
 pub fn encode_frame(
     frame: &Frame,
     outputs: &[Output],

@@ -1,6 +1,7 @@
 //! Errors of rendering.
 
 use relume_engine::DeviceError;
+use relume_scene::CameraError;
 
 /// Errors of rendering.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -10,10 +11,16 @@ pub enum RenderError {
     Refused {
         /// The request field at fault.
         field: &'static str,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
     /// The device failed.
     #[error(transparent)]
     Device(#[from] DeviceError),
+}
+
+impl From<CameraError> for RenderError {
+    fn from(error: CameraError) -> Self {
+        Self::Refused { field: error.field, reason: error.reason }
+    }
 }

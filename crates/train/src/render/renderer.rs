@@ -2,12 +2,12 @@
 
 use std::sync::{Arc, OnceLock};
 
-use crate::render::Frame;
-use crate::render::background;
 use crate::render::error::RenderError;
 use crate::render::high_tier_light::HighTierLight;
-use relume_engine::cpu::{CpuFrameLight as CpuLight, OccluderBvh};
-use relume_engine::{ColourMode, Device, DeviceError, FrameLight, FrameRenderer, RasterCamera};
+use crate::render::{Frame, background};
+use relume_engine::{
+    ColourMode, Device, DeviceError, FrameLight, FrameRenderer, HostLight, HostModel, RasterCamera,
+};
 use relume_scene::light::map_rows::SAMPLED_ROWS;
 use relume_scene::light::{EnvSampler, LightTables, rendering_tables};
 use relume_scene::{Camera, Illumination, Model, ShadeAt};
@@ -21,7 +21,9 @@ const MAX_PIXELS: u64 = 64 << 20;
 pub struct PreparedLight {
     /// The light; its map has at most the rows that the Monte-Carlo tier uses.
     pub(super) source: Illumination,
-    pub(super) frame: FrameLight,
+    pub(super) frame: Box<dyn FrameLight>,
+    /// The light on the host, for computations that no other device has.
+    host: OnceLock<HostLight>,
     split: OnceLock<HighTierLight>,
     sampler: OnceLock<EnvSampler>,
     whole: OnceLock<LightTables>,
@@ -39,9 +41,9 @@ impl PreparedLight {
     }
 
     /// Tables of the environment including its lights, for visibility fields of degree `sh_degree`.
-    pub(super) fn whole_tables<'a>(&'a self, on_cpu: &'a CpuLight, sh_degree: usize) -> &'a LightTables {
-        match on_cpu.tables.lights.is_empty() {
-            true => &on_cpu.tables,
+    pub(super) fn whole_tables<'a>(&'a self, host: &'a HostLight, sh_degree: usize) -> &'a LightTables {
+        match host.tables.lights.is_empty() {
+            true => &host.tables,
             false => self.whole.get_or_init(|| rendering_tables(&self.source.environment, sh_degree)),
         }
     }
@@ -49,13 +51,13 @@ impl PreparedLight {
 
 /// A model prepared for rendering; may be shared between threads.
 pub struct Renderer {
-    pub(super) frames: FrameRenderer,
+    pub(super) frames: Arc<dyn FrameRenderer>,
 }
 
 impl Renderer {
     /// A renderer of a checked model on the CPU engine.
     pub fn new(model: Arc<Model>) -> Self {
-        Self { frames: FrameRenderer::on_cpu_only(model) }
+        Self { frames: Device::cpu_frames(model) }
     }
 
     /// A renderer of a checked model on `device`.
@@ -68,7 +70,7 @@ impl Renderer {
 
     /// The model.
     pub fn model(&self) -> &Model {
-        self.frames.model()
+        self.host().model()
     }
 
     /// Prepares a light for this model, including light that bounces between its surfaces: an environment map, or
@@ -78,19 +80,20 @@ impl Renderer {
     /// If the device failed.
     pub fn prepare_light(&self, light: impl Into<Illumination>) -> Result<PreparedLight, DeviceError> {
         let source = light.into();
-        let frame = self.frames.prepare_light(&source)?;
+        let frame = self.frames.clone().prepare_light(&source)?;
         Ok(PreparedLight {
             source: source.with_at_most_rows(SAMPLED_ROWS),
             frame,
+            host: OnceLock::new(),
             split: OnceLock::new(),
             sampler: OnceLock::new(),
             whole: OnceLock::new(),
         })
     }
 
-    /// The occluders of the model, for rays of the ray-traced tiers.
-    pub fn occluders(&self) -> &OccluderBvh {
-        self.frames.on_cpu().occluders()
+    /// The model on the host, for computations other than frames.
+    pub fn host(&self) -> &Arc<HostModel> {
+        self.frames.host()
     }
 
     /// Composites the `rgb` output of a frame of `camera` over the light.
@@ -111,14 +114,15 @@ impl Renderer {
         }
     }
 
-    pub(super) fn light_on_cpu<'a>(&self, light: &'a PreparedLight) -> &'a CpuLight {
-        self.frames.light_on_cpu(&light.frame, &light.source)
+    /// `light` on the host; prepared on first use if another device prepared it.
+    pub(super) fn light_on_host<'a>(&self, light: &'a PreparedLight) -> &'a HostLight {
+        let prepare = || self.host().prepare_light(self.host().light_tables(&light.source));
+        light.frame.on_host().unwrap_or_else(|| light.host.get_or_init(prepare))
     }
 
     /// `camera` in the form that the engines use.
     pub(super) fn view(&self, camera: &Camera) -> Result<RasterCamera, RenderError> {
-        let checked =
-            camera.validated().map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })?;
+        let checked = camera.validated()?;
         if u64::from(checked.width) * u64::from(checked.height) > MAX_PIXELS {
             let reason = format!("more than {MAX_PIXELS} pixels");
             return Err(RenderError::Refused { field: "width,height", reason });

@@ -16,16 +16,14 @@ pub fn stream_gaussians(model: &Model) -> Vec<u8> {
 
 impl Renderer {
     /// The stream of a light for this model, optionally with a map of the light. A light that was prepared on another
-    /// device is prepared on the CPU engine the first time.
+    /// device is prepared on the host the first time.
     pub fn stream_light(&self, light: &PreparedLight, with_map: bool) -> Vec<u8> {
-        let on_cpu = self.light_on_cpu(light);
-        let source = self.frames.on_cpu().lit_source(on_cpu);
+        let host = self.light_on_host(light);
         let surface = |i: usize| {
-            let incident = source.incident(i);
-            let arriving = source.arriving_at(i);
+            let (incident, arriving) = (host.incident(i), host.arriving_at(i));
             StreamedSurface { gathered: incident.gathered, blocked: incident.blocked, arriving }
         };
-        let tables = &on_cpu.tables;
+        let tables = &host.tables;
         let lights: Vec<SplitLight> = tables.lights.iter().map(SplitLight::from).collect();
         encode_light(&StreamedLight {
             reflectance: reflectance_tables(),

@@ -2,10 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use crate::TrainError;
 use crate::dataset::Gain;
-use crate::exposure;
 use crate::trainer::Trainer;
+use crate::{TrainError, exposure};
 use relume_scene::light::LightColour;
 use relume_scene::{Model, SplitLight};
 

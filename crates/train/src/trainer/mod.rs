@@ -13,16 +13,14 @@ use preparation::operators_of;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::complexity;
 use crate::context::StepContext;
 use crate::dataset::{Dataset, DecodingStats};
 use crate::error::{MAX_ROLLBACKS, TrainError};
 use crate::state::ScheduleState;
-use crate::{checkpoint, density, exposure, initial, light_colour, lights, materials, schedule};
+use crate::{checkpoint, complexity, density, exposure, initial, light_colour, lights, materials, schedule};
 use relume_capture::Capture;
-use relume_engine::cpu::evaluation;
 use relume_engine::{
-    Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, TrainingEngine, TrainingLimits,
+    Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, TrainingEngine, TrainingLimits, evaluation,
 };
 use relume_scene::light::{EnvOperators, LightColour};
 use relume_scene::{Field, SplitLight};

@@ -41,7 +41,7 @@ const ALL_OUTPUTS: [Output; 11] = [
     Output::Radiance,
 ];
 
-/// What a slow client has sent before it stops.
+/// The part of a request that a slow client sends before it stops.
 const HALF_SENT: [&str; 3] = [
     "",
     "GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: ",

@@ -91,7 +91,7 @@ pub fn backward_labels(
         let p = label.transmittance;
         let (v, by_raw) = if sigmoid_form {
             // BCE with logits: the derivative by the logit is V - p.
-            let v = cpu::sigmoid(raw).clamp(SIGMOID_MARGIN, 1.0 - SIGMOID_MARGIN);
+            let v = crate::sigmoid(raw).clamp(SIGMOID_MARGIN, 1.0 - SIGMOID_MARGIN);
             (v, v - p)
         } else {
             let v = raw.clamp(LABEL_MARGIN, 1.0 - LABEL_MARGIN);

@@ -1,13 +1,16 @@
 //! A light prepared for a model, in device memory.
 
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use crate::gpu::Buffer;
+use crate::gpu::frames::GpuFrameRenderer;
 use crate::gpu::light::LightBuffers;
 use crate::gpu::rays::EnvironmentBuffers;
 
 /// A light in device memory, with the light that the model's surfaces send each other under it.
 pub(super) struct GpuFrameLight {
+    /// The model for which it is prepared.
+    pub renderer: Arc<GpuFrameRenderer>,
     /// Its tables.
     pub buffers: LightBuffers,
     /// Gathered light, then the arriving share of each dominant light.
@@ -27,7 +30,11 @@ pub(super) struct RayResources {
 
 impl GpuFrameLight {
     /// A light without resources for rays.
-    pub fn new(buffers: LightBuffers, gathered: Option<Buffer<f32>>) -> Self {
-        Self { buffers, gathered, by_rays: RayResources::default() }
+    pub fn new(
+        renderer: Arc<GpuFrameRenderer>,
+        buffers: LightBuffers,
+        gathered: Option<Buffer<f32>>,
+    ) -> Self {
+        Self { renderer, buffers, gathered, by_rays: RayResources::default() }
     }
 }

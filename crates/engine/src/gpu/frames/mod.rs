@@ -4,7 +4,7 @@ mod light;
 mod traced;
 
 use std::collections::BTreeMap;
-use std::sync::{Mutex, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use rayon::prelude::*;
 
@@ -22,14 +22,13 @@ use crate::gpu::resolve::{PixelLight, Planes};
 use crate::gpu::shading::Shading;
 use crate::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, ReadbackData, ReadbackTicket, Recorder};
 use crate::{
-    BOUNCES, ColourMode, DeviceError, DeviceLight, DeviceRenderer, Frame, FrameJob, PROBE_DIRECTIONS,
-    ProbeSettings, RasterCamera, RayLight, RayTree, fibonacci_sphere, indirect_basis,
+    BOUNCES, ColourMode, DeviceError, Frame, FrameJob, FrameLight, FrameRenderer, HostModel,
+    PROBE_DIRECTIONS, ProbeSettings, RasterCamera, RayLight, fibonacci_sphere, indirect_basis,
 };
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
-use relume_scene::Output;
 use relume_scene::light::LightTables;
-use relume_scene::{IndirectForm, Model, ShadingOptions, SplitLight};
+use relume_scene::{Illumination, IndirectForm, Output, ShadingOptions, SplitLight};
 
 /// Smallest number of pixels per thread when a frame is unpacked.
 const SPLIT: usize = 1 << 14;
@@ -46,6 +45,7 @@ struct Scratch {
 /// A finished model in device memory. Shared between threads.
 pub struct GpuFrameRenderer {
     gpu: Gpu,
+    host: Arc<HostModel>,
     /// The model without indirect light.
     source: AttributeSource,
     options: ShadingOptions,
@@ -57,11 +57,12 @@ pub struct GpuFrameRenderer {
 }
 
 impl GpuFrameRenderer {
-    /// Uploads `model`.
+    /// Uploads the model of `host`.
     ///
     /// # Errors
     /// [`DeviceError::TooLarge`] or [`DeviceError::OutOfMemory`] when it does not fit.
-    pub fn new(gpu: &Gpu, model: &Model) -> Result<Self, DeviceError> {
+    pub fn new(gpu: &Gpu, host: HostModel) -> Result<Self, DeviceError> {
+        let model = host.model();
         let source = AttributeSource {
             layout: LayoutUniform::new(&model.gaussians, &model.shading),
             params: gpu.upload_gaussians(&model.gaussians)?,
@@ -82,7 +83,38 @@ impl GpuFrameRenderer {
             }),
             tree: OnceLock::new(),
             gpu: gpu.clone(),
+            host: Arc::new(host),
         })
+    }
+
+    /// The light that the model's surfaces send each other under `tables`, then the arriving share of each dominant light; `None`
+    /// if there is neither.
+    fn gather(
+        &self,
+        tables: &LightTables,
+        buffers: &LightBuffers,
+    ) -> Result<Option<Buffer<f32>>, DeviceError> {
+        let mut scratch = locked(&self.scratch);
+        let AttributeSource { params, layout, .. } = &self.source;
+        let lights: Vec<SplitLight> = tables.lights.iter().map(SplitLight::from).collect();
+        let lights = LightProbes::measure(&self.gpu, params, layout, &self.options, &lights)?;
+        if self.options.indirect != IndirectForm::Gathered {
+            let mut recorder = self.gpu.record();
+            let arriving = match &lights {
+                Some(_) => Some(ungathered(&mut recorder, layout.n as usize, lights.as_ref())?),
+                None => None,
+            };
+            recorder.submit()?;
+            return Ok(arriving);
+        }
+        let probes = match &mut scratch.probes {
+            Some(probes) => probes,
+            none => none.insert(self.measure_probes()?),
+        };
+        let mut recorder = self.gpu.record();
+        let gathered = gather(&mut recorder, probes, &self.source, buffers, BOUNCES, lights.as_ref())?;
+        recorder.submit()?;
+        Ok(Some(gathered))
     }
 
     fn measure_probes(&self) -> Result<ProbeBuffers, DeviceError> {
@@ -115,14 +147,14 @@ impl GpuFrameRenderer {
         }
     }
 
-    /// The result of `draw` for a projected view of `source`; drawn again when the view's tile lists were too short. Another
+    /// The frame that `draw` makes of a projected view of `source`; drawn again when the view's tile lists were too short. Another
     /// thread may record its frame while this one waits for the device.
     fn draw(
         &self,
         view: &RasterCamera,
         source: &AttributeSource,
         draw: impl Fn(&mut Recorder<'_>, Projected<'_>, FrameScratch<'_>) -> Result<PendingOutputs, DeviceError>,
-    ) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
+    ) -> Result<Frame, DeviceError> {
         loop {
             let mut scratch = locked(&self.scratch);
             let Scratch { raster, planes, rays, .. } = &mut *scratch;
@@ -135,33 +167,10 @@ impl GpuFrameRenderer {
             drop(scratch);
             let arrival = submission.wait_for_data()?;
             if locked(&self.scratch).raster.apply_list_status(&arrival.read(&list_status)?)? {
-                return drawn.planes(&arrival);
+                let planes = drawn.planes(&arrival)?;
+                return Ok(Frame { width: view.width as u32, height: view.height as u32, planes });
             }
         }
-    }
-
-    /// Renders a frame whose G-buffer exceeds one binding in bands: `band` returns the outputs of a view, given its first
-    /// row.
-    fn in_bands(
-        &self,
-        view: &RasterCamera,
-        groups: usize,
-        band: impl Fn(&RasterCamera, usize) -> Result<Vec<(Output, Vec<f32>)>, DeviceError>,
-    ) -> Result<Frame, DeviceError> {
-        let report = self.gpu.report();
-        let row_bytes = (view.width * groups * 16).max(1) as u64;
-        let rows = (report.max_binding.min(report.max_buffer) / row_bytes).max(1) as usize;
-        let mut frame =
-            Frame { width: view.width as u32, height: view.height as u32, planes: BTreeMap::new() };
-        for first in (0..view.height).step_by(rows) {
-            let mut part = *view;
-            part.height = rows.min(view.height - first);
-            part.centre_px[1] -= first as f32;
-            for (output, mut values) in band(&part, first)? {
-                frame.planes.entry(output).or_default().append(&mut values);
-            }
-        }
-        Ok(frame)
     }
 
     /// Coverage and colour from Gaussians that are shaded before blending.
@@ -232,7 +241,7 @@ enum PendingOutputs {
 }
 
 impl PendingOutputs {
-    fn planes(self, arrival: &ReadbackData) -> Result<Vec<(Output, Vec<f32>)>, DeviceError> {
+    fn planes(self, arrival: &ReadbackData) -> Result<BTreeMap<Output, Vec<f32>>, DeviceError> {
         match self {
             Self::Colours(pixels) => arrival.with(&pixels, |pixels: &[[f32; 4]]| {
                 let (mut rgb, mut alpha) = (vec![[0.0; 3]; pixels.len()], vec![0.0; pixels.len()]);
@@ -242,7 +251,7 @@ impl PendingOutputs {
                         (*alpha, *rgb) = (a, [r, g, b]);
                     },
                 );
-                vec![(Output::Rgb, rgb.into_flattened()), (Output::Alpha, alpha)]
+                BTreeMap::from([(Output::Rgb, rgb.into_flattened()), (Output::Alpha, alpha)])
             }),
             Self::Outputs(planes) => {
                 planes.into_iter().map(|(output, values)| Ok((output, arrival.read(&values)?))).collect()
@@ -251,59 +260,45 @@ impl PendingOutputs {
     }
 }
 
-impl DeviceRenderer for GpuFrameRenderer {
-    fn prepare_light(&self, tables: &LightTables) -> Result<DeviceLight, DeviceError> {
-        let buffers = LightBuffers::upload(&self.gpu, tables, self.sh_degree, &indirect_basis(tables))?;
-        let mut scratch = locked(&self.scratch);
-        let AttributeSource { params, layout, .. } = &self.source;
-        let lights: Vec<SplitLight> = tables.lights.iter().map(SplitLight::from).collect();
-        let lights = LightProbes::measure(&self.gpu, params, layout, &self.options, &lights)?;
-        if self.options.indirect != IndirectForm::Gathered {
-            let mut recorder = self.gpu.record();
-            let arriving = match &lights {
-                Some(_) => Some(ungathered(&mut recorder, layout.n as usize, lights.as_ref())?),
-                None => None,
-            };
-            recorder.submit()?;
-            return Ok(Box::new(GpuFrameLight::new(buffers, arriving)));
-        }
-        let probes = match &mut scratch.probes {
-            Some(probes) => probes,
-            none => none.insert(self.measure_probes()?),
-        };
-        let mut recorder = self.gpu.record();
-        let gathered = gather(&mut recorder, probes, &self.source, &buffers, BOUNCES, lights.as_ref())?;
-        recorder.submit()?;
-        Ok(Box::new(GpuFrameLight::new(buffers, Some(gathered))))
+impl FrameRenderer for GpuFrameRenderer {
+    fn host(&self) -> &Arc<HostModel> {
+        &self.host
     }
 
-    fn render(&self, job: &FrameJob<'_>, light: &DeviceLight) -> Result<Frame, DeviceError> {
-        let light = prepared_here(light)?;
-        let groups = match job.colour {
+    fn is_gpu(&self) -> bool {
+        true
+    }
+
+    /// As many rows as have a G-buffer that fits one binding.
+    fn max_rows(&self, width: usize, colour: ColourMode) -> usize {
+        let groups = match colour {
             ColourMode::Alone => 1,
             ColourMode::WithGBuffer => groups(self.full()),
         };
-        let (source, shading) = (self.lit_source(light), self.shading(&light.buffers));
-        self.in_bands(&job.view, groups, |band, _| {
-            self.draw(band, &source, |recorder, projected, reused| match job.colour {
-                ColourMode::Alone => self.colours(recorder, projected, &shading),
-                ColourMode::WithGBuffer => self.outputs(recorder, projected, &shading, reused.planes, job),
-            })
-        })
+        let report = self.gpu.report();
+        let row_bytes = (width * groups * 16).max(1) as u64;
+        (report.max_binding.min(report.max_buffer) / row_bytes).max(1) as usize
     }
 
-    fn render_by_rays(
-        &self,
-        job: &FrameJob<'_>,
-        light: &DeviceLight,
-        rays: &RayLight<'_>,
-        tree: &dyn Fn() -> RayTree,
-    ) -> Result<Frame, DeviceError> {
-        self.trace(job, prepared_here(light)?, rays, tree)
+    fn prepare_light(self: Arc<Self>, light: &Illumination) -> Result<Box<dyn FrameLight>, DeviceError> {
+        let tables = &self.host.light_tables(light);
+        let buffers = LightBuffers::upload(&self.gpu, tables, self.sh_degree, &indirect_basis(tables))?;
+        let gathered = self.gather(tables, &buffers)?;
+        Ok(Box::new(GpuFrameLight::new(self, buffers, gathered)))
     }
 }
 
-fn prepared_here(light: &DeviceLight) -> Result<&GpuFrameLight, DeviceError> {
-    let foreign = || DeviceError::Misuse("the light was prepared for another device".to_owned());
-    light.downcast_ref::<GpuFrameLight>().ok_or_else(foreign)
+impl FrameLight for GpuFrameLight {
+    fn render(&self, job: &FrameJob<'_>) -> Result<Frame, DeviceError> {
+        let renderer = &self.renderer;
+        let (source, shading) = (renderer.lit_source(self), renderer.shading(&self.buffers));
+        renderer.draw(&job.view, &source, |recorder, projected, reused| match job.colour {
+            ColourMode::Alone => renderer.colours(recorder, projected, &shading),
+            ColourMode::WithGBuffer => renderer.outputs(recorder, projected, &shading, reused.planes, job),
+        })
+    }
+
+    fn render_by_rays(&self, job: &FrameJob<'_>, rays: &RayLight<'_>) -> Result<Frame, DeviceError> {
+        self.trace(job, rays)
+    }
 }

@@ -3,13 +3,11 @@
 use std::sync::OnceLock;
 
 use crate::gpu::frame::{FrameBranches, FramePass};
-use crate::gpu::frames::GpuFrameRenderer;
 use crate::gpu::frames::light::GpuFrameLight;
 use crate::gpu::light::LightBuffers;
-use crate::gpu::permutations::groups;
 use crate::gpu::rays::{EnvironmentBuffers, Samples, TreeBuffers};
 use crate::gpu::resolve::PixelLight;
-use crate::{DeviceError, Frame, FrameJob, RasterCamera, RayLight, RayTree, indirect_basis};
+use crate::{DeviceError, Frame, FrameJob, RayLight, indirect_basis};
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{DominantLight, EnvSampler, LightTables, SampleCounts};
 
@@ -25,54 +23,49 @@ fn get_or_try_init<T>(
     Ok(cell.get_or_init(|| made))
 }
 
-impl GpuFrameRenderer {
+impl GpuFrameLight {
     /// A frame with the light `rays`, traced along rays.
-    pub(super) fn trace(
-        &self,
-        job: &FrameJob<'_>,
-        light: &GpuFrameLight,
-        rays: &RayLight<'_>,
-        tree: &dyn Fn() -> RayTree,
-    ) -> Result<Frame, DeviceError> {
-        let tree = get_or_try_init(&self.tree, || TreeBuffers::upload(&self.gpu, &tree()))?;
+    pub(super) fn trace(&self, job: &FrameJob<'_>, rays: &RayLight<'_>) -> Result<Frame, DeviceError> {
+        let renderer = &self.renderer;
+        let tree = get_or_try_init(&renderer.tree, || {
+            TreeBuffers::upload(&renderer.gpu, &renderer.host.occluders().tree())
+        })?;
         match *rays {
             RayLight::Sharp { lights, rest } => {
-                let rest = get_or_try_init(&light.by_rays.rest, || self.upload_rest(rest))?;
-                self.under_sharp_lights(job, light, rest, lights, tree)
+                let rest = get_or_try_init(&self.by_rays.rest, || self.upload_rest(rest))?;
+                self.under_sharp_lights(job, rest, lights, tree)
             }
             RayLight::Sampled { environment, samples, seed, pixels_before } => {
                 let shares = SampleCounts::of(samples, environment);
-                self.sampled(job, light, environment, Samples { shares, seed, pixels_before }, tree)
+                self.sampled(job, environment, &Samples { shares, seed, pixels_before }, tree)
             }
         }
     }
 
     fn upload_rest(&self, rest: &LightTables) -> Result<LightBuffers, DeviceError> {
-        LightBuffers::upload(&self.gpu, rest, self.sh_degree, &indirect_basis(rest))
+        LightBuffers::upload(&self.renderer.gpu, rest, self.renderer.sh_degree, &indirect_basis(rest))
     }
 
     /// A frame from the tables of the rest, with a traced shadow for each light.
     fn under_sharp_lights(
         &self,
         job: &FrameJob<'_>,
-        light: &GpuFrameLight,
         rest: &LightBuffers,
         lights: &[DominantLight],
         tree: &TreeBuffers,
     ) -> Result<Frame, DeviceError> {
-        let (source, shading) = (self.lit_source(light), self.shading(rest));
+        let renderer = &self.renderer;
+        let (source, shading) = (renderer.lit_source(self), renderer.shading(rest));
         let pass = FramePass {
-            channels: self.full(),
+            channels: renderer.full(),
             blending: EarlyStop::WhenSaturated,
             branches: FrameBranches::Both(Box::new(shading.clone())),
         };
-        self.in_bands(&job.view, groups(self.full()), |band, _| {
-            self.draw(band, &source, |recorder, projected, reused| {
-                let frame = pass.forward(recorder, projected)?;
-                let sent = reused.rays.sharp_lights(recorder, &frame, &self.options, tree, lights)?;
-                let light = (&shading, PixelLight::TablesAnd(&sent));
-                self.resolved(recorder, frame.camera(), frame.gbuffer(), light, reused.planes, job)
-            })
+        renderer.draw(&job.view, &source, |recorder, projected, reused| {
+            let frame = pass.forward(recorder, projected)?;
+            let sent = reused.rays.sharp_lights(recorder, &frame, &renderer.options, tree, lights)?;
+            let light = (&shading, PixelLight::TablesAnd(&sent));
+            renderer.resolved(recorder, frame.camera(), frame.gbuffer(), light, reused.planes, job)
         })
     }
 
@@ -80,26 +73,21 @@ impl GpuFrameRenderer {
     fn sampled(
         &self,
         job: &FrameJob<'_>,
-        light: &GpuFrameLight,
         environment: &EnvSampler,
-        samples: Samples,
+        samples: &Samples,
         tree: &TreeBuffers,
     ) -> Result<Frame, DeviceError> {
-        let environment = get_or_try_init(&light.by_rays.environment, || {
-            EnvironmentBuffers::upload(&self.gpu, environment)
+        let renderer = &self.renderer;
+        let environment = get_or_try_init(&self.by_rays.environment, || {
+            EnvironmentBuffers::upload(&renderer.gpu, environment)
         })?;
-        let (source, shading) = (self.lit_source(light), self.shading(&light.buffers));
-        let of_band = |band: &RasterCamera, first: usize| {
-            let pixels_before = samples.pixels_before + (first * band.width) as u64;
-            let samples = Samples { pixels_before, ..samples };
-            self.draw(band, &source, |recorder, projected, reused| {
-                let attributed = projected.attributes(recorder, self.full())?;
-                let frame = attributed.blend(recorder, EarlyStop::WhenSaturated)?;
-                let sent = reused.rays.monte_carlo(recorder, &frame, tree, environment, &samples)?;
-                let light = (&shading, PixelLight::Alone(&sent));
-                self.resolved(recorder, frame.camera(), frame.gbuffer(), light, reused.planes, job)
-            })
-        };
-        self.in_bands(&job.view, groups(self.full()), of_band)
+        let (source, shading) = (renderer.lit_source(self), renderer.shading(&self.buffers));
+        renderer.draw(&job.view, &source, |recorder, projected, reused| {
+            let attributed = projected.attributes(recorder, renderer.full())?;
+            let frame = attributed.blend(recorder, EarlyStop::WhenSaturated)?;
+            let sent = reused.rays.monte_carlo(recorder, &frame, tree, environment, samples)?;
+            let light = (&shading, PixelLight::Alone(&sent));
+            renderer.resolved(recorder, frame.camera(), frame.gbuffer(), light, reused.planes, job)
+        })
     }
 }

@@ -3,8 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::gpu::model::LayoutUniform;
-use crate::gpu::probes;
-use crate::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
+use crate::gpu::{Buffer, Gpu, Groups, Recorder, probes, shaders, uniform};
 use crate::{DeviceError, ProbeSettings, towards_light};
 use relume_scene::{MAX_LIGHTS, ShadingOptions, SplitLight, VisibilityForm};
 

@@ -2,12 +2,11 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::DeviceError;
 use crate::gpu::light::tables::LightBuffers;
 use crate::gpu::model::ModelBuffers;
 use crate::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
 use crate::indirect::INDIRECT_DIRECTIONS;
-use crate::{LightWeights, fibonacci_sphere};
+use crate::{DeviceError, LightWeights, fibonacci_sphere};
 use relume_scene::light::{EnvOperators, LightTables, sh_eval};
 use relume_scene::{ColumnShift, IndirectForm, texel_directions};
 

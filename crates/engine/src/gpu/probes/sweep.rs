@@ -7,14 +7,13 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::DeviceError;
-use crate::ProbeSettings;
 use crate::gpu::grow::grow;
 use crate::gpu::model::LayoutUniform;
 use crate::gpu::probes::buffers::{ProbeBuffers, direction_weight, padded};
 use crate::gpu::scan::Scan;
 use crate::gpu::sort::{Pairs, Sorter};
 use crate::gpu::{Buffer, Gpu, Groups, InFlightLimit, Recorder, Submission, shaders, uniform};
+use crate::{DeviceError, ProbeSettings};
 use relume_scene::light::sh_eval;
 use relume_scene::sh_count;
 

@@ -3,15 +3,13 @@
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::DeviceError;
 use crate::cpu::{self, AttributeSource, outward_normals};
-use crate::gpu::model::LayoutUniform;
-use crate::gpu::model::planar;
+use crate::gpu::model::{LayoutUniform, planar};
 use crate::gpu::probes::sweep::{Axes, CellCounts, Flat, Occluder, ProbeStart, Projection, Sweep, Sweeper};
 use crate::gpu::probes::{ProbeBuffers, measure};
 use crate::gpu::shaders::assert_layout;
 use crate::gpu::{Buffer, Gpu, shaders};
-use crate::{ProbeSettings, fibonacci_sphere};
+use crate::{DeviceError, ProbeSettings, fibonacci_sphere};
 use relume_compare::largest_difference;
 use relume_layout::constants::NO_HIT;
 use relume_scene::{Field, Gaussians, ShadingOptions, sh_count};
@@ -55,15 +53,7 @@ impl ProbeScene {
     }
 
     pub(in crate::gpu) fn source(&self) -> AttributeSource<'_> {
-        AttributeSource {
-            gaussians: &self.gaussians,
-            prototypes: &self.prototypes,
-            options: &self.options,
-            gathered: &[],
-            arriving: &[],
-            indirect_basis: &[[0.0; 3]; 16],
-            light: None,
-        }
+        AttributeSource::new(&self.gaussians, &self.prototypes, &self.options)
     }
 
     pub(in crate::gpu) fn layout(&self) -> LayoutUniform {

@@ -12,7 +12,7 @@ use relume_layout::channel::Channels;
 pub struct Attributed<'r> {
     pub(in crate::gpu) projected: Projected<'r>,
     pub(in crate::gpu) channels: Channels,
-    /// Rows per Gaussian, `4 groups` floats each, undefined where a splat reaches no tile.
+    /// One row of `4 groups` floats per Gaussian, undefined where its splat reaches no tile.
     pub(in crate::gpu) rows: Buffer<[f32; 4]>,
 }
 

@@ -16,7 +16,7 @@ pub struct Differentiated<'r> {
     pub(in crate::gpu) blended: Blended<'r>,
     /// Number of differentiated groups of channels.
     pub(in crate::gpu) groups: usize,
-    /// Rows of [`GRADIENT_HEADER`]` + 4 groups` floats per Gaussian.
+    /// One row of [`GRADIENT_HEADER`]` + 4 groups` floats per Gaussian.
     pub(in crate::gpu) splat_gradients: Buffer<f32>,
 }
 

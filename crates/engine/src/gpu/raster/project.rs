@@ -13,7 +13,7 @@ pub struct Projected<'r> {
     pub(super) raster: &'r mut Raster,
     pub(in crate::gpu) camera: CameraUniform,
     pub(in crate::gpu) source: AttributeSource,
-    /// Splats per Gaussian.
+    /// The splat of each Gaussian.
     pub(in crate::gpu) splats: Buffer<SplatRecord>,
     pub(in crate::gpu) tiles: TileLists,
     pub(super) counts: RasterCounts,

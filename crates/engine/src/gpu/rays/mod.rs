@@ -1,5 +1,6 @@
-//! Light that is traced along rays: small lights with a shadow each, and a whole environment by Monte-Carlo. Ports of the CPU
-//! versions of the tiers `high` and `monte_carlo`.
+//! Light that is traced along rays: small lights with a shadow each, and a whole environment by Monte-Carlo.
+//! Ports of crates/engine/src/cpu/pixel_light.rs (tier `high`) and crates/engine/src/cpu/monte_carlo.rs (tier
+//! `monte_carlo`).
 
 mod monte_carlo;
 mod points;

@@ -1,12 +1,11 @@
 //! Buffers of the size of the image, and the terms of the objective on images and buffers.
 
-use crate::DeviceError;
-use crate::ImageWeights;
 use crate::gpu::objective::{ImageTerm, LossSlot, surface_terms};
 use crate::gpu::raster::Blended;
 use crate::gpu::shading::Images;
 use crate::gpu::training::device_step::DeviceStep;
 use crate::gpu::{Buffer, Gpu, PhotoPixel, Recorder};
+use crate::{DeviceError, ImageWeights};
 use relume_layout::channel::Channels;
 
 /// Buffers of the size of the image.

@@ -15,18 +15,16 @@ mod tests;
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use crate::gpu::density;
 use crate::gpu::gather::{LightProbes, gather, ungathered};
 use crate::gpu::light::{Constants, TrainingLight};
 use crate::gpu::objective::LOSS_SLOTS;
-use crate::gpu::probes;
 use crate::gpu::raster::Raster;
 use crate::gpu::training::device_step::SubmittedStep;
 use crate::gpu::training::image_buffers::ImageBuffers;
 use crate::gpu::training::photos::DevicePhotoCache;
 use crate::gpu::training::state::DeviceState;
 use crate::gpu::update::{STATUS_WORDS, Updater};
-use crate::gpu::{AttributeSource, Buffer, Gpu, InFlightLimit};
+use crate::gpu::{AttributeSource, Buffer, Gpu, InFlightLimit, density, probes};
 use crate::{
     DensityPlan, DensitySignals, DeviceError, FieldUpdate, LightWeights, PhotoId, ProbeMeasurement,
     ProbeSettings, Step, StepResult, TrainState, TrainingLimits, fibonacci_sphere, training,

@@ -4,9 +4,8 @@ use std::collections::HashMap;
 
 use rayon::prelude::*;
 
-use crate::DeviceError;
 use crate::gpu::{Buffer, Gpu, PhotoPixel, photo_pixel};
-use crate::{Photo, PhotoId, PhotoSize};
+use crate::{DeviceError, Photo, PhotoId, PhotoSize};
 
 /// Maximum device memory of photographs, bytes; photographs beyond it are uploaded at each step.
 const PHOTO_BYTES: usize = 4 << 30;

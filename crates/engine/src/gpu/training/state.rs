@@ -1,12 +1,11 @@
 //! State of a training in device memory.
 
-use crate::DeviceError;
 use crate::gpu::density::read_stats;
 use crate::gpu::gather::GATHERED;
 use crate::gpu::light::TrainingLight;
 use crate::gpu::model::{ModelBuffers, planar};
 use crate::gpu::{AttributeSource, Buffer, Gpu};
-use crate::{LightRotation, Moments, TrainState};
+use crate::{DeviceError, LightRotation, Moments, TrainState};
 use relume_scene::{IndirectForm, MAX_LIGHTS, Model};
 
 /// Measured data, which is not learned.

@@ -11,7 +11,7 @@ use crate::{
 };
 use relume_compare::{largest_difference, relative_error, worst};
 use relume_scene::light::TableResolution;
-use relume_scene::{Camera, Field, Gaussians, ShadingOptions};
+use relume_scene::{Camera, Field, Gaussians};
 
 const SIZE: u32 = 40;
 const GAUSSIANS: usize = 150;
@@ -27,19 +27,7 @@ fn model() -> Model {
         };
         gaussians.field_mut(field).iter_mut().for_each(|v| *v = rng.random_range(low..high));
     }
-    Model {
-        gaussians,
-        prototypes: vec![[0.2, 0.5, 0.7]; 4],
-        env_raw: vec![[0.3; 3]; 32],
-        env_width: 8,
-        env_height: 4,
-        lights: Default::default(),
-        shading: ShadingOptions::default(),
-        world_scale: 1.0,
-        world_offset: DVec3::ZERO,
-        framing: None,
-        card: serde_json::Value::Null,
-    }
+    Model::new(gaussians, vec![[0.2, 0.5, 0.7]; 4], vec![[0.3; 3]; 32], (8, 4))
 }
 
 fn training(gpu: &Gpu) -> GpuTraining {

@@ -6,12 +6,11 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::DeviceError;
 use crate::adam::{FieldGroup, HIGHER_DEGREE_SHARE};
 use crate::gpu::model::ModelBuffers;
 use crate::gpu::raster::{Differentiated, SplatRecord};
 use crate::gpu::{Buffer, CameraUniform, Gpu, Groups, Recorder, shaders, uniform};
-use crate::{ParameterWeights, StepCounts, StepSizes};
+use crate::{DeviceError, ParameterWeights, StepCounts, StepSizes};
 use relume_scene::Field;
 
 pub use relume_layout::kernel_constants::STATUS_WORDS;
@@ -65,7 +64,7 @@ struct LabelCount {
 pub struct UpstreamGradients<'a> {
     /// The camera.
     pub camera: &'a CameraUniform,
-    /// Splats per Gaussian.
+    /// The splat of each Gaussian.
     pub splats: &'a Buffer<SplatRecord>,
     /// Summed gradients per Gaussian, `8 + 4 groups` floats; rows of invisible splats are not read.
     pub gradients: &'a Buffer<f32>,
@@ -107,8 +106,8 @@ pub struct UpdateSums<'a> {
     /// Status of the step's tile lists ([`Projected::list_status`](crate::gpu::raster::Projected::list_status)); if they were too
     /// short, nothing is updated.
     pub list_status: &'a Buffer<u32>,
-    /// Element 0 becomes non-zero when a gradient is not finite: its parameters are then unchanged, and the step must be rolled
-    /// back.
+    /// Element 0 becomes non-zero when a gradient is not finite: the update leaves the parameters of that
+    /// gradient unchanged, and the step must be rolled back.
     pub status: &'a Buffer<u32>,
 }
 

@@ -8,8 +8,7 @@ use crate::render::mesh::views::DepthView;
 use relume_capture::formats::ImageFileError;
 use relume_capture::formats::gltf::TexturedMesh;
 use relume_capture::formats::image_file::encode_png;
-use relume_scene::Output;
-use relume_scene::srgb;
+use relume_scene::{Output, srgb};
 
 /// Texels along the side of a quad's square. The quad's corners lie at the centres of the outermost texels, so that
 /// interpolation stays inside the square.

@@ -41,8 +41,11 @@ impl Renderer {
     /// If the model has no surface, the options are out of range, or the device failed.
     pub fn mesh(&self, options: MeshOptions) -> Result<TexturedMesh, RenderError> {
         let refused = |field, reason: &str| RenderError::Refused { field, reason: reason.to_owned() };
-        if !(16..=512).contains(&options.cells) || options.views == 0 {
-            return Err(refused("cells", "must be 16 to 512, with at least one view"));
+        if !(16..=512).contains(&options.cells) {
+            return Err(refused("cells", "must be 16 to 512"));
+        }
+        if options.views == 0 {
+            return Err(refused("views", "must be at least 1"));
         }
         let cameras = views::around(self.model(), options.views, options.size)?;
         let light = self.prepare_light(self.model().recovered_light())?;

@@ -4,8 +4,7 @@ use glam::{Mat3, Vec3};
 
 use crate::render::renderer::{PreparedLight, Renderer};
 use crate::render::{Frame, Orbit, RenderError, Viewpoint};
-use relume_scene::Output;
-use relume_scene::{Camera, Model};
+use relume_scene::{Camera, Model, Output};
 use relume_spec::rendering::Tier;
 
 /// Sine of the elevation of the lowest view.
@@ -27,8 +26,7 @@ pub(super) fn around(model: &Model, count: usize, size: u32) -> Result<Vec<Camer
             elevation_deg: Some(height.asin().to_degrees()),
             size,
         };
-        let camera = Viewpoint::Orbit(orbit).camera(model);
-        camera.map_err(|e| RenderError::Refused { field: e.field, reason: e.reason })
+        Ok(Viewpoint::Orbit(orbit).camera(model)?)
     };
     (0..count).map(one).collect()
 }

@@ -1,8 +1,7 @@
 //! Gradients of splats and backward labels.
 
 use super::*;
-use crate::cpu::ROW_HEADER;
-use crate::cpu::backward_labels;
+use crate::cpu::{ROW_HEADER, backward_labels};
 use relume_compare::relative_error;
 
 /// A random gradient by the first `count` channels, `[pixel][stored]`; every seventh pixel has none.
@@ -129,7 +128,7 @@ fn gradients_match_the_cpu() {
         let absgrad = got[i][6] * 0.5 * 64.0;
         assert!((absgrad - rows.absgrad[i]).abs() < 1e-4 * rows.absgrad[i].max(1.0), "Gaussian {i}");
         assert!(got[i][0].hypot(got[i][1]) <= got[i][6] * 1.0001, "a sum is no longer than its parts");
-        let sigma = crate::cpu::sigmoid(scene.gaussians.row(Field::OpacityLogit, i)[0]);
+        let sigma = crate::sigmoid(scene.gaussians.row(Field::OpacityLogit, i)[0]);
         let opacity = got[i][5] * splat.compensation * sigma * (1.0 - sigma);
         let expected = rows.get(Field::OpacityLogit, i)[0];
         assert!(

@@ -8,14 +8,13 @@ mod shaded;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::DeviceError;
-use crate::RasterCamera;
 use crate::cpu::{AttributeSource as CpuSource, Pass};
 use crate::gpu::model::{LayoutUniform, planar};
 use crate::gpu::raster::records::DispatchParams;
 use crate::gpu::raster::{BlendEnd, Blended, GRADIENT_HEADER, RasterCounts, SplatRecord};
 use crate::gpu::shaders::assert_layout;
 use crate::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, Groups, Raster, groups, shaders, uniform};
+use crate::{DeviceError, RasterCamera};
 use relume_compare::worst;
 use relume_layout::channel::Channels;
 use relume_layout::constants::{EarlyStop, TRANSMITTANCE_STOP};

@@ -253,7 +253,8 @@ fn shading_at_gaussians_matches_the_cpu_for_every_sh_degree() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     for sh_degree in [0, 1, 3, 4, 5, 6] {
-        // A software device compiles the largest kernels in seconds, so each degree above 4 tests one of the two backward kernels.
+        // A software device needs seconds to compile each of the largest kernels, so each degree above 4
+        // tests only one of the two backward kernels.
         for all in [false, true].into_iter().filter(|all| sh_degree < 5 || *all == (sh_degree == 6)) {
             let case = ShadedCase::new(40 + sh_degree as u64, sh_degree, ShadingOptions::default(), all);
             assert_small(case.errors(&mut raster), &format!("order {sh_degree} {all}"));

@@ -4,12 +4,11 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::Gradients;
-use crate::RasterCamera;
 use crate::cpu::{AttributeSource as CpuSource, Pass, ROW_HEADER, backward_labels};
 use crate::gpu::shaders::assert_layout;
 use crate::gpu::shading::tests::error_of_entries;
 use crate::gpu::{GpuOptions, model::LayoutUniform};
+use crate::{Gradients, RasterCamera};
 use relume_layout::channel::{Channels, IncidentLight};
 use relume_layout::constants::EarlyStop;
 use relume_scene::{Camera, Gaussians, IndirectForm, Model, NormalForm, ShadingOptions, VisibilityForm};
@@ -83,19 +82,15 @@ fn random_model(shape: &Shape, rng: &mut ChaCha8Rng) -> Model {
         g.row_mut(Field::LogScale, 3).copy_from_slice(&[0.2, 0.1, 0.0]);
     }
     Model {
-        gaussians: g,
-        prototypes: (0..shape.prototypes)
-            .map(|_| std::array::from_fn(|_| rng.random_range(-0.15f32..1.15)))
-            .collect(),
-        env_raw: vec![[0.1; 3]; 8],
-        env_width: 4,
-        env_height: 2,
-        lights: Default::default(),
         shading: shape.options,
-        world_scale: 1.0,
-        world_offset: glam::DVec3::ZERO,
-        framing: None,
-        card: serde_json::Value::Null,
+        ..Model::new(
+            g,
+            (0..shape.prototypes)
+                .map(|_| std::array::from_fn(|_| rng.random_range(-0.15f32..1.15)))
+                .collect(),
+            vec![[0.1; 3]; 8],
+            (4, 2),
+        )
     }
 }
 
@@ -166,7 +161,7 @@ impl UpdateCase {
     }
 }
 
-/// Splats and gradient rows per Gaussian; rows of invisible Gaussians hold garbage.
+/// The splat and the gradient row of each Gaussian; rows of invisible Gaussians hold garbage.
 fn device_rows(
     pass: &Pass,
     n: usize,
