@@ -1,10 +1,11 @@
-//! The structure of the repository, read from its own text: imports between the modules of the service, where modules stand,
-//! how long a file may get, what names and documents must say. Between crates Cargo holds the arrows.
+//! The structure of the repository, checked in its text: imports between the modules of the service, the
+//! location of modules, the length of files and names, and the contents of documents. Cargo enforces the
+//! dependencies between crates.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Every module of the service and the modules of it that it may import.
+/// Every module of the service, with the modules that it may import.
 const ALLOWED: &[(&str, &[&str])] = &[
     ("traces", &[]),
     ("camera_path", &[]),
@@ -18,7 +19,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
 ];
 const LONGEST_FILE: usize = 600;
 const LONGEST_TEST_NAME: usize = 60;
-/// Folders with our own text.
+/// Folders with texts of this repository.
 const FOLDERS: [&str; 12] = [
     "src",
     "crates",
@@ -47,6 +48,27 @@ fn service_modules_import_only_in_the_allowed_direction() {
         }
     }
     assert!(wrong.is_empty(), "imports that the table does not allow:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn only_tests_and_benchmarks_name_the_kernels_of_the_cpu_engine() {
+    let mut wrong = Vec::new();
+    for folder in ["src", "crates/train/src"] {
+        let files = files_under(&root().join(folder), &["rs"]);
+        assert!(files.len() > 50, "{folder}");
+        let is_test = |file: &PathBuf| file.ends_with("tests.rs");
+        for file in files.into_iter().filter(|file| !is_test(file)) {
+            wrong.extend(names_kernels(&read(&file)).then(|| shown(&file)));
+        }
+    }
+    assert!(wrong.is_empty(), "these use kernels instead of the interface of the engines: {wrong:?}");
+    assert!(names_kernels("use relume_engine::cpu::Pass;\n#[cfg(test)]\nmod tests {}"));
+    assert!(!names_kernels("#[cfg(test)]\nmod tests { use relume_engine::cpu::Pass; }"));
+}
+
+/// Whether code other than tests names the module `cpu` of the engine.
+fn names_kernels(code: &str) -> bool {
+    code.split("#[cfg(test)]\nmod ").next().unwrap_or_default().contains("relume_engine::cpu")
 }
 
 #[test]
@@ -99,7 +121,7 @@ fn no_text_contains_a_machine_specific_path() {
         found.extend(machine_path(&read(&file)).map(|path| (shown(&file), path)));
     }
     assert!(found.is_empty(), "{found:?}");
-    // Spelt in pieces, or this file would be found.
+    // The paths are composed, so that this file is not reported.
     for path in ["work", "root", "tmp"] {
         assert!(machine_path(&format!("open /{path}/shared/x")).is_some(), "{path}");
     }
@@ -160,6 +182,39 @@ fn every_dependency_is_explained_in_the_architecture_document() {
 }
 
 #[test]
+fn every_crate_is_tested_and_takes_its_dependencies_from_the_workspace() {
+    let manifest = read(&root().join("Cargo.toml"));
+    let (_, rest) = manifest.split_once("default-members = [").unwrap();
+    let (members, _) = rest.split_once(']').unwrap();
+    let manifests = files_under(&root().join("crates"), &["toml"]);
+    let manifests: Vec<_> = manifests.into_iter().filter(|file| file.ends_with("Cargo.toml")).collect();
+    assert!(manifests.len() > 10, "{manifests:?}");
+    for file in manifests {
+        let folder = shown(&file).trim_end_matches("/Cargo.toml").to_owned();
+        let is_tested = members.contains(&format!("\"{folder}\""));
+        assert!(is_tested || folder == "crates/bench", "default-members does not list {folder}");
+        let own = own_versions(&read(&file));
+        assert!(own.is_empty(), "{folder}: not from [workspace.dependencies]: {own:?}");
+    }
+    assert_eq!(own_versions("[dependencies]\na.workspace = true\nb = \"1\"\n[features]\nc = []\n"), ["b"]);
+}
+
+/// The dependencies of a manifest that do not refer to those of the workspace.
+fn own_versions(manifest: &str) -> Vec<String> {
+    let (mut inside, mut names) = (false, Vec::new());
+    for line in manifest.lines().map(str::trim) {
+        if let Some(section) = line.strip_prefix('[') {
+            inside = section.trim_end_matches(']').ends_with("dependencies");
+        } else if let Some((name, value)) = line.split_once('=').filter(|_| inside && !line.starts_with('#'))
+        {
+            let of_workspace = name.trim().ends_with(".workspace") || value.contains("workspace = true");
+            names.extend((!of_workspace).then(|| name.trim().to_owned()));
+        }
+    }
+    names
+}
+
+#[test]
 fn an_unexplained_dependency_is_detected() {
     let manifest = "[package]\nname = \"x\"\n[workspace.dependencies]\nserde = \"1\"\n# a = \"1\"\n\
                     relume-x = { path = \"x\" }\nzip = { version = \"9\" }\n[dev-dependencies]\ndivan = \"1\"\n";
@@ -169,12 +224,12 @@ fn an_unexplained_dependency_is_detected() {
     assert!(!is_explained("zip", document) && !is_explained("ser", document));
 }
 
-/// Modules of the service that `code` of `module` names and may not.
+/// Modules of the service that `code` of `module` names without permission.
 fn forbidden(module: &str, code: &str) -> Vec<String> {
     let Some((_, allowed)) = ALLOWED.iter().find(|(name, _)| *name == module) else {
         return vec![format!("{module}, which is not in the table")];
     };
-    let code = code.split("#[cfg(test)]").next().unwrap_or_default();
+    let code = code.split("#[cfg(test)]\nmod ").next().unwrap_or_default();
     let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
     let names = lines.flat_map(|line| line.split("crate::").skip(1)).map(|rest| {
         rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap_or_default().to_owned()
@@ -201,7 +256,7 @@ fn tests_of(code: &str) -> Vec<String> {
     names
 }
 
-/// Files that a text names: of code the comments count, of documents all of it.
+/// Files that a text names: in code only the comments count, in documents the whole text.
 fn named_files(path: &str, text: &str) -> BTreeSet<String> {
     let is_code = path.ends_with(".rs") || path.ends_with(".wgsl");
     let lines = text
@@ -230,7 +285,7 @@ fn exists(name: &str, path: &str, known: &BTreeSet<String>) -> bool {
     known.contains(&relative) || known.iter().any(is_end)
 }
 
-/// The paths of all files of the repository, without what is built or fetched.
+/// The paths of all files of the repository, without build outputs and downloads.
 fn repository_files() -> BTreeSet<String> {
     let top = std::fs::read_dir(root()).unwrap().map(|entry| entry.unwrap().path());
     let (folders, files): (Vec<_>, Vec<_>) = top.partition(|path| path.is_dir());
@@ -239,11 +294,15 @@ fn repository_files() -> BTreeSet<String> {
     below.chain(files).map(|file| shown(&file)).collect()
 }
 
-/// Our own texts.
+/// The texts of this repository, including scripts without an extension.
 fn texts() -> Vec<PathBuf> {
-    let kinds = ["rs", "md", "wgsl", "sql", "toml", "py", "yml", "yaml"];
+    let kinds = ["rs", "md", "wgsl", "sql", "toml", "py", "yml", "yaml", "mjs", "ts", "service"];
+    let is_text = |file: &PathBuf| match file.extension() {
+        Some(extension) => kinds.iter().any(|kind| extension == *kind),
+        None => std::fs::read_to_string(file).is_ok(),
+    };
     let mut files: Vec<PathBuf> =
-        FOLDERS.iter().flat_map(|folder| files_under(&root().join(folder), &kinds)).collect();
+        FOLDERS.iter().flat_map(|folder| files_under(&root().join(folder), &[])).filter(is_text).collect();
     files.extend(["README.md", "CONTRIBUTING.md"].map(|name| root().join(name)));
     files.retain(|file| !shown(file).contains("/node_modules/"));
     files
@@ -265,7 +324,7 @@ fn shown(file: &Path) -> String {
 /// All files under `folder` with one of these extensions, or all files where none is given, sorted.
 fn files_under(folder: &Path, extensions: &[&str]) -> Vec<PathBuf> {
     let mut out = Vec::new();
-    let Ok(entries) = std::fs::read_dir(folder) else { return out };
+    let entries = std::fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", shown(folder)));
     for path in entries.map(|entry| entry.unwrap().path()) {
         let is_kind = |e: &std::ffi::OsStr| extensions.iter().any(|wanted| e == *wanted);
         if path.is_dir() && !path.is_symlink() && !path.ends_with("node_modules") {
@@ -278,7 +337,7 @@ fn files_under(folder: &Path, extensions: &[&str]) -> Vec<PathBuf> {
     out
 }
 
-/// An absolute path into a folder that only some machines have.
+/// An absolute path to a folder that exists only on some machines.
 fn machine_path(text: &str) -> Option<&'static str> {
     let begins_a_path = |at: usize| {
         let before = text[..at].chars().next_back();
@@ -302,7 +361,7 @@ fn dependencies(manifest: &str) -> Vec<String> {
     names
 }
 
-/// True when the first cell of some table row lists the crate, so that no word in a sentence is taken for it.
+/// True when the first cell of a table row lists the crate. Words of sentences do not count.
 fn is_explained(name: &str, document: &str) -> bool {
     let first_cells = document.lines().filter_map(|line| line.trim().strip_prefix('|')?.split('|').next());
     first_cells.flat_map(|cell| cell.split(',')).any(|item| {

@@ -1,4 +1,4 @@
-//! Backups that are made while a server works, and what is restored from them.
+//! Backups that are made while a server runs, and restoration from them.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -13,7 +13,7 @@ use tempfile::TempDir;
 use crate::server_process::Server;
 use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, trained, until};
 
-/// More steps than any test waits for.
+/// More steps than any test needs.
 const ENDLESS: u32 = 1_000_000;
 
 fn relume(args: &[&str]) -> Output {
@@ -41,7 +41,7 @@ fn fails_with(output: &Output, words: &str) {
     assert!(!output.status.success() && said.contains(words), "{said}");
 }
 
-/// Uploads captures until it cannot.
+/// Uploads captures until a request fails.
 async fn upload_for_ever(client: Client) {
     for count in 3.. {
         if client.upload_capture_bytes(CaptureZip::new(count, 16).zip()).await.is_err() {
@@ -188,7 +188,7 @@ async fn a_failed_backup_names_the_cause_and_leaves_nothing() {
     assert!(std::fs::read_dir(&other).unwrap().next().is_none());
 }
 
-/// Changes the database of a backup, and its manifest so that it fits.
+/// Changes the database of a backup, and its manifest to match.
 async fn tamper(backup: &Path, change: &str) {
     let database = backup.join("backup.db");
     let pool = sqlx::SqlitePool::connect(&format!("sqlite:{}", database.display())).await.unwrap();

@@ -1,4 +1,4 @@
-//! kill -9 of the real server, at random moments, as often as it takes.
+//! kill -9 of the server process at random moments, repeatedly.
 
 use std::process::Command;
 use std::time::Duration;
@@ -15,12 +15,12 @@ use tempfile::TempDir;
 use crate::server_process::Server;
 use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, until};
 
-/// Long enough that ten starts, each with a moment of training, do not reach the end.
+/// So many steps that ten starts with a short training each do not reach the end.
 const STEPS: u32 = 1500;
 const CHECKPOINT_EVERY: u32 = 10;
 const KILLS: usize = 10;
 
-/// Uploads the capture and submits a job on it, always under the same key.
+/// Uploads the capture and submits a job on it, always with the same idempotency key.
 async fn submit(client: &Client, steps: u32) -> JobId {
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
     client.create_job(&small_job(&capture.id, steps, CHECKPOINT_EVERY), Some("once")).await.unwrap().id
@@ -32,7 +32,7 @@ async fn model_bytes(client: &Client, job: &JobId) -> Vec<u8> {
     client.file(&job.model.unwrap(), "model.safetensors").await.unwrap().to_vec()
 }
 
-/// Listens until a checkpoint at or beyond `step`, keeping what was heard.
+/// Follows the events until a checkpoint at or after `step`, and keeps them.
 async fn hear_checkpoint(client: &Client, job: &JobId, step: i64, heard: &mut Vec<JobEvent>) {
     let after = heard.last().map_or(0, |e: &JobEvent| e.seq);
     let mut events = std::pin::pin!(client.events(job, after).await.unwrap());
@@ -53,7 +53,7 @@ async fn ten_kills_at_random_moments_change_no_byte_of_the_model() {
         let server = Server::start(data.path());
         let job = submit(&server.client, STEPS).await;
         let bytes = model_bytes(&server.client, &job).await;
-        // The control: these bytes do depend on what was computed.
+        // Negative control: the bytes depend on the settings of the job.
         let mut other = small_job(&server.client.job(&job).await.unwrap().capture, STEPS, CHECKPOINT_EVERY);
         other.overrides.seed = Some(1);
         let other = server.client.create_job(&other, None).await.unwrap();
@@ -67,7 +67,8 @@ async fn ten_kills_at_random_moments_change_no_byte_of_the_model() {
     let job = submit(&server.client, STEPS).await;
     let mut heard = Vec::new();
     for kill in 0..KILLS {
-        // Half of them in mid-training, later and later; half at any moment of a start.
+        // Half of the kills happen during the training, each later than the last; half at a random moment of
+        // a start.
         if kill % 2 == 0 {
             let step = (kill + 1) * STEPS as usize * 8 / 10 / KILLS;
             hear_checkpoint(&server.client, &job, step as i64, &mut heard).await;
@@ -140,7 +141,7 @@ async fn sigterm_writes_a_checkpoint_and_exits_successfully() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_answers_507_without_corruption() {
     let data = TempDir::new().unwrap();
-    // No file may grow beyond 1 MiB, which the server meets as it would meet a quota.
+    // No file may exceed 1 MiB. The server gets the same error as from a quota.
     let mut shell = Command::new("bash");
     shell.args(["-c", "trap '' XFSZ; ulimit -f 1024; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_relume")]);
     let server = Server::start_under(shell, data.path());
@@ -150,12 +151,12 @@ async fn a_full_disk_answers_507_without_corruption() {
     let problem = error.problem().unwrap_or_else(|| panic!("{error}"));
     assert_eq!((problem.status, problem.kind.as_str()), (507, "urn:relume:problem:insufficient-storage"));
     assert!(files_under(data.path()).is_empty(), "nothing is left behind");
-    // And the server goes on with what fits.
+    // The server still accepts a capture that fits.
     let capture = server.client.upload_capture_bytes(capture_zip()).await.unwrap();
     assert_eq!(server.client.captures().await.unwrap().items, [capture]);
 }
 
-/// Bytes that do not compress.
+/// Incompressible bytes.
 pub fn noise(count: usize) -> Vec<u8> {
     let mut bytes = vec![0; count];
     rand::Rng::fill_bytes(&mut ChaCha8Rng::seed_from_u64(1), &mut bytes);

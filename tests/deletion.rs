@@ -1,4 +1,4 @@
-//! What is deleted is gone, with its files; what is needed is not.
+//! Deletion removes a resource and its files; resources that others need are kept.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -7,9 +7,8 @@ use std::time::Duration;
 use relume::jobs::ManualClock;
 use relume::store::{Deletion, Retention, StoreError};
 use relume::testing::{self, TestServer};
-use relume_api::TenantId;
 use relume_api::jobs::{JobState, NewJob};
-use relume_api::{CaptureId, Problem, ResourceKind, ResourceName};
+use relume_api::{CaptureId, Problem, ResourceKind, ResourceName, TenantId};
 use relume_client::{Client, ClientError};
 use relume_spec::training::{KnownLight, LightExposure};
 use reqwest::Method;
@@ -20,7 +19,7 @@ use crate::service_support::{
     CaptureZip, capture_zip, ended, files_under, open_store, raw_pool, small_job, trained, until,
 };
 
-/// More steps than any test waits for.
+/// More steps than any test needs.
 const ENDLESS: u32 = 1_000_000;
 
 /// A grey map of 32 x 16 pixels, in Radiance format without run lengths.
@@ -35,7 +34,7 @@ fn artifacts(data: &Path) -> Vec<String> {
     files_under(&data.join("artifacts")).into_iter().map(|(name, _)| name).collect()
 }
 
-/// Waits until the artifacts are `count` files.
+/// Waits until there are `count` artifacts.
 async fn until_artifacts(data: &Path, count: usize) {
     for _ in 0..1500 {
         if artifacts(data).len() == count {
@@ -52,7 +51,7 @@ fn refused<T: std::fmt::Debug>(answer: Result<T, ClientError>) -> Problem {
     error.problem().unwrap_or_else(|| panic!("{error}")).clone()
 }
 
-/// Rows of every table that names things.
+/// Number of rows of every table with resources.
 async fn rows(data: &Path) -> Vec<i64> {
     let pool = raw_pool(data).await;
     let mut counts = Vec::new();
@@ -84,7 +83,7 @@ async fn deleted_resources_answer_404_and_leave_no_files_or_rows() {
     let asked =
         ["", "/card", "/files/model.safetensors", "/thumbnail?size=16"].map(|p| format!("{of_model}{p}"));
     let lit = format!("{of_model}/thumbnail?size=16&env={}", map.id);
-    // The device has model and light ready from now on.
+    // From now on the device has the model and the light in its cache.
     for path in asked.iter().chain([&lit]) {
         assert_eq!(status(&server, path).await, 200, "{path}");
     }
@@ -133,7 +132,7 @@ async fn deleting_a_job_keeps_its_model() {
     client.delete_job(&job.id, false).await.unwrap();
     client.delete_capture(&job.capture, false).await.unwrap();
     until_artifacts(server.data_dir(), 2).await;
-    // A restart sweeps, too.
+    // A restart also removes the files of deleted resources.
     let data = server.stop().await.unwrap();
     let server = testing::spawn_with(data, |_| {}).await.unwrap();
     let client = server.client();
@@ -170,14 +169,14 @@ async fn delete_of_a_used_capture_answers_409_or_cascades_to_jobs() {
     for id in [&running.id, &queued.id] {
         assert_eq!(refused(client.job(id).await).status, 404);
     }
-    // The same content is another capture from now on, and the sweep of the old one leaves its file.
+    // The same content is now another capture, whose file remains when the deleted one is cleaned up.
     let other = client.upload_capture_bytes(capture_zip()).await.unwrap();
     assert_ne!(other.id, capture.id);
     let next = client.create_job(&small_job(&other.id, 5, 5), None).await.unwrap();
     assert_eq!(ended(client, &next.id).await.state, JobState::Succeeded, "the device is free");
     until_artifacts(server.data_dir(), 3).await;
     assert_eq!(client.jobs().await.unwrap().items.len(), 1);
-    // The next start sweeps, whether this server has done so or not.
+    // The next start completes the cleanup, even if this server has not finished it.
     let server = testing::spawn_with(server.stop().await.unwrap(), |_| {}).await.unwrap();
     assert_eq!(rows(server.stop().await.unwrap().path()).await[..3], [1, 0, 1]);
 }
@@ -209,7 +208,7 @@ async fn inputs_of_a_retryable_job_cannot_be_deleted() {
     until_artifacts(server.data_dir(), 0).await;
 }
 
-/// A directory with a capture of a store's own.
+/// A data directory with one capture, without a server.
 async fn with_capture() -> (TempDir, CaptureId) {
     let server = testing::spawn().await.unwrap();
     let capture = server.client().upload_capture_bytes(capture_zip()).await.unwrap().id;
@@ -252,7 +251,7 @@ async fn startup_completes_a_deletion_interrupted_by_a_crash() {
     assert_eq!(rows(server.stop().await.unwrap().path()).await, [0; 6]);
 }
 
-/// Deletes all that there is, in a while that a kill cuts short.
+/// Deletes all resources; a kill interrupts this.
 async fn delete_everything(client: &Client) -> Result<(), ClientError> {
     for capture in client.captures().await?.items {
         client.delete_capture(&capture.id, true).await?;
@@ -281,7 +280,7 @@ async fn kills_during_deletion_leave_no_files_or_rows() {
         tokio::time::sleep(Duration::from_millis(delay)).await;
         server.kill();
         deleting.await.unwrap().ok();
-        // The next server finishes it, and what was not deleted is whole.
+        // The next server completes the deletions, and all other resources are intact.
         let server = Server::start(data.path());
         for model in server.client.models().await.unwrap().items {
             server.client.file(&model.id, "model.safetensors").await.unwrap();
@@ -315,11 +314,11 @@ async fn retention_deletes_old_resources_that_are_not_in_use() {
     let cancelled = client.create_job(&small_job(&needed.id, ENDLESS, 1000), None).await.unwrap();
     client.cancel_job(&cancelled.id).await.unwrap();
     ended(client, &cancelled.id).await;
-    // What there is after a server with these rules has looked: captures, jobs, models.
+    // Numbers of captures, jobs and models after a server with this retention has run its garbage collection.
     let after = async |server: TestServer, days: [Option<u32>; 3]| {
         let data = server.stop().await.unwrap();
         let server = testing::spawn_with(data, with(days)).await.unwrap();
-        // Without a stop in between, its first look would be a matter of time.
+        // The stop makes sure that the first garbage collection has ended.
         let data = server.stop().await.unwrap();
         let server = testing::spawn_with(data, with([None; 3])).await.unwrap();
         let client = server.client();

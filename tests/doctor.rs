@@ -1,4 +1,4 @@
-//! A data directory that is not sound, as `relume doctor` and `relume serve` see it.
+//! A damaged data directory: reports of `relume doctor` and `relume serve`.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -13,20 +13,20 @@ fn relume(args: &[&str], data: &Path) -> Output {
     command.args(args).arg("--data-dir").arg(data).output().unwrap()
 }
 
-/// What `relume doctor` says, and whether it found the directory sound.
+/// The output of `relume doctor`, and whether it found no fault.
 fn doctor(data: &Path) -> (bool, String) {
     let output = relume(&["doctor", "--device", "cpu"], data);
     (output.status.success(), String::from_utf8(output.stdout).unwrap())
 }
 
-/// Why a server does not start.
+/// The reason why a server does not start.
 fn refusal(data: &Path) -> String {
     let output = relume(&["serve", "--listen", "127.0.0.1:0"], data);
     assert!(!output.status.success(), "it started");
     String::from_utf8(output.stderr).unwrap()
 }
 
-/// What a server with one model leaves.
+/// The data directory of a server with one model.
 async fn used() -> TempDir {
     let server = testing::spawn().await.unwrap();
     trained(server.client()).await;
@@ -61,7 +61,7 @@ async fn doctor_reports_a_damaged_database() {
     let data = used().await;
     let path = data.path().join("relume.db");
     let sound = std::fs::read(&path).unwrap();
-    // Not the first page, so that it can still be opened.
+    // All pages except the first two, so that the file can still be opened.
     let mut bytes = sound.clone();
     bytes[2 * 4096..].chunks_mut(4096).for_each(|page| page[..64].fill(0xa5));
     std::fs::write(&path, bytes).unwrap();

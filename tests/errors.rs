@@ -1,9 +1,9 @@
-//! Holds `docs/errors.md` to the kinds of problems in the code.
+//! Checks that `docs/errors.md` lists the problem types in the code.
 
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Calls that make a problem of a kind; the first text in them that looks like a kind is one.
+/// Calls that create a problem; the first text in them that looks like a problem type is one.
 const MAKERS: [&str; 5] =
     ["Problem::new(", "Self::new(", "Problem::conflict(", "Self::conflict(", "Problem::forbidden("];
 
@@ -31,7 +31,7 @@ fn problem_types_are_found_in_code_and_on_the_error_page() {
     assert_eq!(documented(page), BTreeSet::from(["a".to_owned(), "b-c".to_owned()]));
 }
 
-/// Kinds of the problems that `code` makes outside of its tests.
+/// Types of the problems that `code` creates outside of its tests.
 fn kinds(code: &str) -> BTreeSet<String> {
     let code = code.split("#[cfg(test)]").next().unwrap_or_default();
     let after = |maker: &&str| -> Vec<usize> {
@@ -41,7 +41,7 @@ fn kinds(code: &str) -> BTreeSet<String> {
     calls.filter_map(|at| first_kind(code[at..].split(';').next().unwrap_or_default())).collect()
 }
 
-/// The first text of a call that is lower case with hyphens.
+/// The first text of a call in lower case with hyphens.
 fn first_kind(call: &str) -> Option<String> {
     let mut texts = call.split('"').skip(1).step_by(2);
     let is_kind = |text: &&str| {
@@ -50,14 +50,14 @@ fn first_kind(call: &str) -> Option<String> {
     texts.next().filter(is_kind).map(str::to_owned)
 }
 
-/// Kinds in the first column of the page's tables.
+/// Problem types in the first column of the page's tables.
 fn documented(page: &str) -> BTreeSet<String> {
     let first_cells = page.lines().filter_map(|line| line.strip_prefix("| `")?.split('|').next());
     let names = first_cells.flat_map(|cell| cell.split(',')).map(|name| name.trim().trim_matches('`'));
     names.map(str::to_owned).collect()
 }
 
-/// Files of Rust in a folder and those below.
+/// Rust files in a folder and its subfolders.
 fn walkdir(folder: &Path) -> Vec<std::path::PathBuf> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap() {

@@ -1,4 +1,5 @@
-//! Evaluation through the public API: LPIPS against its authors' figures, and a model against its own renderings.
+//! Evaluation through the public API: LPIPS against the values of its authors, and a model against its own
+//! renderings.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -8,8 +9,7 @@ use glam::DVec3;
 use relume::cli::eval::{EvalArgs, QualityArgs, run};
 use relume_capture::formats::model_file;
 use relume_capture::{Capture, CaptureView, GroundTruthView, SceneBounds};
-use relume_engine::Device;
-use relume_engine::DeviceChoice;
+use relume_engine::{Device, DeviceChoice};
 use relume_scene::{
     BitDepth, Camera, EnvMap, Field, Gaussians, ImageRgba, Model, PackedImage, Plane, ShadeAt, ShadingOptions,
 };
@@ -21,7 +21,7 @@ use relume_train::render::{Frame, Renderer};
 
 const SIDE: u32 = 40;
 
-/// A handful of fat Gaussians of several colours around the origin.
+/// A few large Gaussians of several colours around the origin.
 fn model() -> Model {
     let mut gaussians = Gaussians::zeroed(9, 2, 0, 0);
     for i in 0..9 {
@@ -39,17 +39,8 @@ fn model() -> Model {
         gaussians.row_mut(Field::Radiance, i).copy_from_slice(&[0.4, 0.1 * i as f32, 0.2]);
     }
     Model {
-        gaussians,
-        prototypes: vec![[0.5, 0.3, 0.2], [0.2, 0.3, 0.4]],
-        env_raw: vec![[0.3; 3]; 512],
-        env_width: 32,
-        env_height: 16,
-        lights: Default::default(),
-        shading: ShadingOptions::default(),
-        world_scale: 1.0,
-        world_offset: DVec3::ZERO,
-        framing: None,
         card: serde_json::json!({"training_seconds": 12.5}),
+        ..Model::new(gaussians, vec![[0.5, 0.3, 0.2], [0.2, 0.3, 0.4]], vec![[0.3; 3]; 512], (32, 16))
     }
 }
 
@@ -190,7 +181,7 @@ fn ground_truth_in_place_of_a_corrupted_layer_restores_psnr() {
     // Half-covered pixels keep the model's layers, and indirect light is gathered from the dark albedo.
     assert!(albedo > nothing + 10.0 && everything > nothing + 10.0, "{nothing} {albedo} {everything}");
     assert!((material - nothing).abs() < 1.0, "the control: what was not spoilt repairs nothing, {material}");
-    // With nothing replaced the figure is the evaluation's when surfaces are shaded in the pixel.
+    // Without replacement the value equals that of the evaluation if surfaces are shaded in the pixel.
     let difference = |shade_at| {
         let shading = ShadingOptions { shade_at, ..model.shading };
         let model = Arc::new(Model { shading, ..(*model).clone() });
@@ -266,7 +257,7 @@ fn contact_sheet_is_a_png_with_a_row_per_view() {
     let capture = drawn_by(&model);
     let sheet = contact_sheet(model, &capture, Tier::Standard, 2, &Device::Cpu).unwrap();
     let image = image::load_from_memory(&sheet.to_png(64).unwrap()).unwrap().into_rgb8();
-    // 3 pictures, one light beside its truth, 8 layers.
+    // 3 images, one light next to its ground truth, 8 layers.
     assert_eq!(image.width(), 4 + 13 * (64 + 4));
     assert!(image.height() > 2 * 64 && image.height() < 3 * 64 + 60);
 }
@@ -306,7 +297,7 @@ fn eval_command_names_the_bad_file_and_checks_outputs_first() {
     assert!(!file("out.json").exists(), "a failed evaluation leaves no report behind");
 }
 
-/// Tests on LPIPS weights and on a real scene.
+/// Tests with LPIPS weights and a real scene.
 mod with_data {
     use super::*;
     use relume_fixtures::data;
@@ -329,7 +320,7 @@ mod with_data {
             assert!((distance - published).abs() < 2e-3, "{other}: {distance}, published {published}");
         }
         assert_eq!(lpips.distance(&reference, &reference), Some(0.0));
-        // Negative control: another range of inputs is another metric.
+        // Negative control: another range of inputs gives another distance.
         let mut dark = (reference.clone(), image("ex_p0.png"));
         dark.0.values.iter_mut().chain(&mut dark.1.values).flatten().for_each(|v| *v *= 0.5);
         assert!((lpips.distance(&dark.0, &dark.1).unwrap() - 0.722).abs() > 2e-3);

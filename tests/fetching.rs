@@ -1,4 +1,5 @@
-//! Captures that the server fetches itself: from where its operator lets it, bounded, and nothing is left of what fails.
+//! Captures that the server fetches: only from permitted origins, within limits, and without remains after a
+//! failure.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -19,7 +20,7 @@ use tempfile::TempDir;
 
 use crate::service_support::{capture_zip, files_under};
 
-/// A server of files, and how often it was asked.
+/// A file server that counts its requests.
 struct Source {
     origin: String,
     asked: Arc<AtomicUsize>,
@@ -51,7 +52,7 @@ async fn give(State(asked): State<Arc<AtomicUsize>>, uri: Uri) -> Response {
         "/long" => ([(header::CONTENT_LENGTH, "99999999")], Body::from_stream(forever())).into_response(),
         "/cut" => {
             let torn = futures::stream::once(async {
-                // So that what came before is on its way.
+                // The delay makes sure that the first part has been sent.
                 tokio::time::sleep(Duration::from_millis(50)).await;
                 Err(std::io::Error::other("torn"))
             });
@@ -67,7 +68,7 @@ async fn give(State(asked): State<Arc<AtomicUsize>>, uri: Uri) -> Response {
     }
 }
 
-/// A server that fetches from `origin`, and what else `change` says.
+/// A server that fetches from `origin`, with the configuration changed by `change`.
 async fn server(origin: &str, change: impl FnOnce(&mut ServerConfig)) -> TestServer {
     let config = |config: &mut ServerConfig| {
         config.fetching.origins = vec![origin.parse().unwrap()];
@@ -78,7 +79,7 @@ async fn server(origin: &str, change: impl FnOnce(&mut ServerConfig)) -> TestSer
     testing::spawn_with(TempDir::new().unwrap(), config).await.unwrap()
 }
 
-/// Status and body of the answer to a capture that is made of `source`.
+/// Status and body of the answer to a request for a capture of `source`.
 async fn make(server: &TestServer, source: Value) -> (u16, Value) {
     let request = server.client().request(Method::POST, "/v1/captures").unwrap().json(&source);
     let answer = request.send().await.unwrap();

@@ -1,4 +1,4 @@
-//! A disk that is full for a while: refusals in plain words, and no restart afterwards.
+//! A disk that is temporarily full: clear refusals, and no restart afterwards.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -14,10 +14,10 @@ use tempfile::TempDir;
 use crate::server_process::Server;
 use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, trained, until};
 
-/// More steps than any test waits for.
+/// More steps than any test needs.
 const ENDLESS: u32 = 1_000_000;
 
-/// What `/readyz` says.
+/// The answer of `/readyz`.
 async fn readiness(client: &Client) -> (u16, String) {
     let answer = client.request(Method::GET, "/readyz").unwrap().send().await.unwrap();
     (answer.status().as_u16(), answer.text().await.unwrap())
@@ -44,7 +44,7 @@ async fn start_job(client: &Client, steps: u32) -> relume_api::jobs::JobView {
     client.create_job(&small_job(&capture.id, steps, 200), None).await.unwrap()
 }
 
-/// Lets the files of a process grow, or not.
+/// Permits or forbids the growth of a process's files.
 fn let_files_grow(server: &Server, grow: bool) {
     let limit = if grow { "--fsize=unlimited:" } else { "--fsize=0:" };
     let done = Command::new("prlimit").args(["--pid", &server.child.id().to_string(), limit]).status();
@@ -62,7 +62,7 @@ async fn after_a_full_disk_writes_succeed_and_training_resumes() {
     until(client, &job.id, |job| job.state == JobState::Running && job.progress.step > 1000).await;
 
     let_files_grow(&server, false);
-    // The worker has given up the reserve to write down that the job waits, in vain.
+    // The worker has released the reserve to record that the job waits, but the write failed.
     let reserve = data.path().join("relume.db.reserve");
     let mut waited = 0;
     while reserve.exists() {
@@ -107,7 +107,7 @@ async fn thumbnails_are_served_but_not_cached_while_the_disk_is_full() {
     let left = files_under(data.path());
     assert!(!left.iter().any(|(name, _)| name.starts_with("cache/")), "{left:?}");
     let_files_grow(&server, true);
-    // A check may have found the disk full meanwhile.
+    // A check may have found the disk full in between.
     assert_eq!(readiness(&server.client).await.0, 200);
     assert!(was_rendered().await);
     assert!(!was_rendered().await, "the control");
@@ -121,10 +121,10 @@ fn nothing_is_left_of(data: &Path, capture: &CaptureId, files: usize) {
     assert_eq!((models.count(), names.len()), (files, files + 1), "of {capture:?}: {names:?}");
 }
 
-/// A server on a file system of 20 MB that only it has.
+/// A server on its own file system of 20 MB.
 struct SmallDisk {
     server: Server,
-    /// The file system as the test reaches it.
+    /// Path of the file system for the test.
     disk: PathBuf,
     _mount_point: TempDir,
 }
@@ -147,7 +147,8 @@ impl SmallDisk {
         assert!(sent.unwrap().success());
     }
 
-    /// Fills the disk to the last byte, unless the reserve is given up already. The server stands still meanwhile.
+    /// Fills the disk completely, unless the reserve is already released. The server is suspended during
+    /// this.
     fn fill(&self) {
         self.signal("-STOP");
         if self.disk.join("data/relume.db.reserve").exists() {

@@ -1,4 +1,4 @@
-//! Bad input over HTTP: each gets its 4xx problem, the server lives, nothing is left behind.
+//! Invalid input over HTTP: each request gets its 4xx problem, the server keeps running, and no files remain.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 use crate::service_support::{CaptureZip, capture_zip, files_under, zip_of};
 
-/// What the service must say about a bad body.
+/// The expected problem for an invalid body.
 struct Refusal {
     status: u16,
     body: Value,
@@ -27,7 +27,8 @@ async fn post(client: &Client, path: &str, media: &str, bytes: Vec<u8>) -> Refus
     Refusal { status, body: serde_json::from_str(&text).unwrap() }
 }
 
-/// Uploads a bad archive both to be kept and to be validated, and checks what is said and what is left.
+/// Sends an invalid archive to the routes that store and validate captures, and checks the answers and the
+/// remaining files.
 async fn refuse_capture(server: &TestServer, zip: Vec<u8>, code: &str, named: &str) {
     for path in ["/v1/captures", "/v1/captures/validate"] {
         let refusal = post(server.client(), path, "application/zip", zip.clone()).await;
@@ -42,21 +43,21 @@ async fn refuse_capture(server: &TestServer, zip: Vec<u8>, code: &str, named: &s
     assert!(files_under(server.data_dir()).is_empty(), "{:?}", files_under(server.data_dir()));
 }
 
-/// The server lives, and good input still goes in.
+/// The server runs and still accepts valid input.
 async fn lives(server: &TestServer) {
     let health = server.client().request(Method::GET, "/readyz").unwrap().send().await.unwrap();
     assert!(health.status().is_success());
     server.client().upload_capture_bytes(capture_zip()).await.unwrap();
 }
 
-/// A capture with one thing made wrong.
+/// A capture with one fault.
 fn spoiled(change: impl FnOnce(&mut CaptureZip)) -> Vec<u8> {
     let mut capture = CaptureZip::new(8, 32);
     change(&mut capture);
     capture.zip()
 }
 
-/// Spoils the text of `transforms_train.json`, for what JSON values cannot say.
+/// Changes the text of `transforms_train.json`, for faults that JSON values cannot express.
 fn spoiled_text(from: &str, to: &str) -> Vec<u8> {
     let capture = CaptureZip::new(8, 32);
     let text = capture.transforms.to_string();
@@ -169,13 +170,13 @@ async fn forms_with_wrong_fields_are_refused_and_leave_nothing() {
     lives(&server).await;
 }
 
-/// Speaks HTTP by hand: sends `head` and `body`, then reads the answer's first line.
+/// Sends `head` and `body` over a TCP connection and reads the first line of the answer.
 async fn raw(server: &TestServer, head: &str, body: &[u8]) -> String {
     let base = server.client().base();
     let address = format!("{}:{}", base.host_str().unwrap(), base.port().unwrap());
     let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();
     stream.write_all(head.as_bytes()).await.unwrap();
-    // The server may hang up before it has seen everything; what it said is what counts.
+    // The server may close the connection before it has read everything; only its answer counts.
     stream.write_all(body).await.ok();
     let mut answer = vec![0; 64];
     let read = tokio::time::timeout(Duration::from_secs(20), stream.read(&mut answer));

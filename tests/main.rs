@@ -1,6 +1,6 @@
-//! Black-box tests, one module a subject, one binary.
+//! Black-box tests of the service and the command line: one module per topic, one binary.
 
-// Helpers of tests are tests: a failed one should say where.
+// Test helpers may panic: the panic names the place.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 mod architecture;

@@ -1,4 +1,4 @@
-//! What things are called: names, identifiers of other systems, labels; and finding and keeping things by them.
+//! Metadata of resources: names, identifiers of other systems, labels; and lists and retention by metadata.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -33,7 +33,7 @@ async fn get(client: &Client, path: &str) -> Value {
     answer
 }
 
-/// Uploads a file under a path with a query.
+/// Uploads a file to a path with a query.
 async fn upload(client: &Client, path: &str, file: Vec<u8>) -> (u16, Value) {
     let request = client.request(Method::POST, path).unwrap();
     let request = request.header("content-type", "application/octet-stream").body(file);
@@ -45,7 +45,7 @@ fn map() -> Vec<u8> {
     relume_capture::formats::exr_image::encode_rgb(4, 2, &[[1.0f32; 3]; 8]).unwrap()
 }
 
-/// What a thing is called.
+/// The metadata of a resource.
 fn metadata(of: &Value) -> Value {
     json!([of["name"], of["external_id"], of["labels"]])
 }
@@ -72,7 +72,7 @@ async fn resources_get_metadata_at_creation_and_models_from_their_job() {
         ..small_job(&id.into(), 5, 5)
     };
     let job = client.create_job(&job, None).await.unwrap();
-    // Called otherwise while it waits or trains: the model is called what the job is at its end.
+    // The metadata change while the job waits or trains; the model gets the metadata of the job at its end.
     let raised = serde_json::from_value::<JobChange>(json!({ "labels": { "shot": null, "take": "2" } }));
     client.change_job(&job.id, &raised.unwrap()).await.unwrap();
     let job = ended(client, &job.id).await;
@@ -84,7 +84,7 @@ async fn resources_get_metadata_at_creation_and_models_from_their_job() {
     assert_eq!(of_model["name"], "Lion head");
     assert_eq!(of_model["external_id"], "asset-7");
     assert_eq!(of_model["labels"]["show"], "alpha");
-    // The same content again is called what the last upload says, where it says something.
+    // A repeated upload of the same content sets the metadata that it states.
     let (status, again) = upload(client, "/v1/captures?labels=take:2", capture_zip()).await;
     assert_eq!((status, &again["id"]), (200, &capture["id"]));
     let labels = json!({ "show": "alpha", "shot": "sc-010", "take": "2" });
@@ -132,7 +132,8 @@ async fn resources_and_their_metadata_are_stored_in_one_transaction() {
         [capture.metadata, map.metadata]
     };
     assert_eq!(stored().await, [called(10, "a"), called(10, "a")]);
-    // Who comes second with the same content, at the same moment, calls the first one so, or nothing is changed.
+    // A concurrent second upload of the same content changes the metadata of the first; if they are invalid,
+    // nothing changes.
     let refused = store.insert_capture(&tenant, &capture("d", called(7, "b")), None).await;
     assert!(matches!(refused, Err(StoreError::InvalidMetadata { field: "labels", .. })), "{refused:?}");
     let refused = store.insert_environment(&tenant, &map("f", called(7, "b"))).await;
@@ -173,7 +174,7 @@ async fn lists_can_be_filtered_by_metadata() {
         let found = found(&format!("/v1/captures{query}")).await;
         assert_eq!(found.iter().collect::<Vec<_>>(), expected, "{query}");
     }
-    // A page of what is left goes on after what is left out.
+    // A filtered page continues after items that do not match.
     let page = get(client, "/v1/captures?label=show:x&limit=1").await;
     assert_eq!(page["items"][0]["id"], second);
     let before = page["next"].as_str().unwrap();
@@ -325,7 +326,7 @@ async fn resources_with_the_keep_label_are_not_deleted_by_age() {
     clock.advance(20 * day);
     let data = server.stop().await.unwrap();
     let server = testing::spawn_with(data, with(Some(10 * day))).await.unwrap();
-    // Stopped, so that its first look is over.
+    // The stop makes sure that the first garbage collection has ended.
     let data = server.stop().await.unwrap();
     let server = testing::spawn_with(data, with(None)).await.unwrap();
     let client = server.client();

@@ -1,4 +1,5 @@
-//! What only a server on PostgreSQL does. The tests need a server (`.ci/postgres`), on which those of the service run, too.
+//! Behaviour of a server on PostgreSQL only. The tests need a PostgreSQL server (`.ci/postgres`), on which
+//! the tests of the service can also run.
 
 use std::path::Path;
 use std::process::Command;
@@ -37,7 +38,7 @@ async fn answers(client: &Client) {
     panic!("the server never answered");
 }
 
-/// What a server says of everything that it has.
+/// The answers of a server about all its resources.
 async fn told(client: &Client) -> Vec<Value> {
     let mut answers = Vec::new();
     for path in ["/v1/captures", "/v1/environments", "/v1/jobs", "/v1/models", "/v1/webhooks"] {
@@ -108,7 +109,8 @@ async fn on_postgres_a_second_server_is_refused_until_the_first_stops() {
     third.stop().await.unwrap();
 }
 
-/// Ends every connection that holds the lock of the first server, and waits until none does. How many there were.
+/// Ends every connection that holds the lock of the first server, and waits until none does. Returns their
+/// number.
 async fn cut_locks(data: &Path) -> i64 {
     let pool = raw_pool(data).await;
     let held = "FROM pg_locks WHERE locktype = 'advisory'
@@ -186,7 +188,7 @@ async fn on_postgres_training_survives_a_database_outage() {
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
     let job = client.create_job(&small_job(&capture.id, 400, 50), None).await.unwrap();
     until(client, &job.id, |job| job.progress.step > 0).await;
-    // Nobody is let in, and who is in is put out.
+    // The database refuses new connections and ends existing ones.
     let other = TempDir::new().unwrap();
     let root = raw_pool(other.path()).await;
     let execute = async |statement: String| {

@@ -1,5 +1,5 @@
-//! Photographs without poses and clips: what becomes of them with COLMAP and ffmpeg, and where these fail. Scripts stand in for
-//! both, since what is tested is how they are used; one ignored test uses the real ones.
+//! Photographs without poses and clips, with COLMAP and ffmpeg and with their failures. Scripts replace both
+//! programs, because the tests check how they are called; one ignored test uses the real programs.
 
 #![cfg(unix)]
 
@@ -19,13 +19,13 @@ use relume_fixtures::small_set::{camera, picture};
 
 const PHOTOGRAPHS: usize = 8;
 
-/// A folder with photographs, and one with programs, among them a script that is called `colmap`.
+/// A folder with photographs, and one with programs, including a script named `colmap`.
 pub struct Place {
     folder: TempDir,
 }
 
 impl Place {
-    /// `matcher` and `mapper` are what the script does for these commands.
+    /// `matcher` and `mapper` are the script's actions for these commands.
     pub fn new(version: &str, matcher: &str, mapper: &str) -> Self {
         let place = Self { folder: TempDir::new().unwrap() };
         fs::create_dir_all(place.at("photos")).unwrap();
@@ -38,7 +38,7 @@ impl Place {
         place
     }
 
-    /// Another script that is called `colmap`.
+    /// Replaces the script named `colmap`.
     pub fn replace(&self, version: &str, matcher: &str, mapper: &str) {
         let script = format!(
             "case $1 in\n\
@@ -76,7 +76,7 @@ impl Place {
         fs::write(self.at("model/points3D.txt"), "").unwrap();
     }
 
-    /// Runs this program with the scripts before all others, or, without `with_tools`, with nothing on PATH.
+    /// Runs this program with the scripts first on PATH, or, without `with_tools`, with an empty PATH.
     fn relume(&self, arguments: &[&str], with_tools: bool) -> Output {
         let system = std::env::var("PATH").unwrap();
         let path = if with_tools { format!("{}:{system}", self.at("bin").display()) } else { String::new() };
@@ -91,7 +91,7 @@ impl Place {
         words.iter().for_each(|word| assert!(message.contains(word), "{word}: {message}"));
     }
 
-    /// [`find_poses`] with the script, and how far it said it was.
+    /// [`find_poses`] with the script, and the reported progress.
     fn find(&self, limit: Duration, cancelled: bool) -> (Result<usize, PoseError>, Vec<PoseStage>) {
         let photographs =
             PhotosWithoutPoses::open(&self.at("photos"), &ImportLimits::default()).unwrap().unwrap();
@@ -184,7 +184,7 @@ fn colmap_is_stopped_after_timeout_or_cancellation() {
     assert_eq!(place.find(LONG, false).0.unwrap(), 0, "and the next run goes on");
 }
 
-/// Scripts for ffmpeg: a clip of ten seconds, whose frames are the photographs of `place`, over and over.
+/// Scripts for ffmpeg: a clip of ten seconds, whose frames are the photographs of `place`, repeated.
 fn with_clip(place: &Place) {
     fs::write(place.at("walk.mp4"), "no clip, but no one looks").unwrap();
     place.program("ffprobe", "case $1 in -version) echo 'ffprobe version 5.1.6' ;; *) echo 10.0 ;; esac\n");
@@ -200,7 +200,7 @@ fn clip_becomes_photographs_or_gives_a_clear_error() {
     with_clip(&place);
     let clip = ["capture", "poses", "walk.mp4", "--clip-frames", "6"];
     place.fails_with(&clip, false, &["`ffprobe` is not installed", "apt-get install ffmpeg"]);
-    // COLMAP fails here, after the frames are there.
+    // COLMAP fails, after the frames have been extracted.
     place.fails_with(&clip, true, &["colmap mapper"]);
     let mut frames: Vec<_> =
         fs::read_dir(place.at("walk.frames")).unwrap().map(|e| e.unwrap().file_name()).collect();
@@ -273,7 +273,7 @@ fn colmap_finds_the_poses_of_phone_photographs() {
     let (rotation, position) = PoseErrors::of(&found, &truth).unwrap().medians();
     assert!(rotation < 1.0 && position < 0.05, "{rotation} degrees, {position}");
     truth.rotate_left(5);
-    // Where no two agree, nothing can be compared.
+    // The poses cannot be compared if no two of them agree.
     let control = PoseErrors::of(&found, &truth);
     assert!(control.is_none_or(|e| e.medians().1 > 0.1), "the control: cameras of other photographs");
 }

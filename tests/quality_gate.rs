@@ -1,4 +1,4 @@
-//! What a job finds of its model on held-out views, and what it may ask of it.
+//! Figures of a job's model on held-out views, and quality gates.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -34,7 +34,7 @@ async fn last_event(client: &Client, job: &JobId) -> JobEvent {
     last.unwrap()
 }
 
-/// What `relume eval` finds of a model on the capture in `archive`, at 32 pixels.
+/// The report of `relume eval` for a model on the capture in `archive`, at 32 pixels.
 fn evaluated(model: &[u8], archive: &[u8], tier: Tier) -> Report {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), archive).unwrap();
@@ -53,7 +53,7 @@ fn evaluated(model: &[u8], archive: &[u8], tier: Tier) -> Report {
 async fn a_job_reports_metrics_on_held_out_views() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
-    // Twice the size of the training, and one photograph is missing.
+    // The photographs have twice the size of the training, and one is missing.
     let mut zip = CaptureZip::new(17, 64);
     zip.images.remove(5);
     let archive = zip.zip();
@@ -112,7 +112,7 @@ async fn a_job_that_misses_its_gate_is_rejected_and_keeps_its_model() {
     assert_eq!(client.model(&model).await.unwrap().summary.job, id);
     client.thumbnail(&model, "size=16").await.unwrap();
 
-    // It has ended as one that succeeded has.
+    // A rejected job is final, like a succeeded one.
     for refused in [client.cancel_job(&id).await, client.retry_job(&id).await] {
         assert_eq!(refused.unwrap_err().problem().unwrap().status, 409);
     }
@@ -155,7 +155,7 @@ async fn a_gate_on_an_unknown_metric_is_refused_with_a_pointer() {
     assert_eq!(post(json!({ "novel_view.psnr": ">=28" }), tiny).await.0, 202, "the control");
 }
 
-/// A job whose model takes a while to compare, and the moment that this begins.
+/// A job whose model takes a while to compare; returns when the comparison begins.
 async fn while_comparing(client: &Client) -> JobId {
     let capture = client.upload_capture_bytes(CaptureZip::new(64, 256).zip()).await.unwrap();
     let mut job = asking(small_job(&capture.id, 10, 5), &[("novel_view.psnr", ">=98")]);
@@ -170,7 +170,7 @@ async fn while_comparing(client: &Client) -> JobId {
     panic!("the job ended and nothing was compared");
 }
 
-/// How often a job ended, and the steps of its checkpoints.
+/// The number of final events of a job, and the steps of its checkpoints.
 async fn told(client: &Client, job: &JobId) -> (usize, Vec<i64>) {
     let (mut ends, mut checkpoints) = (0, Vec::new());
     let heard = |event: &JobEvent| match event.kind.as_str() {

@@ -1,4 +1,4 @@
-//! Sequences of frames on the command line.
+//! Frame sequences on the command line.
 
 use std::fs;
 use std::path::Path;
@@ -72,7 +72,7 @@ fn turntable_frames_equal_single_renders_and_can_be_resumed() {
     succeeds(at, &turntable);
     assert!(files.map(read) == whole, "without --resume all are made");
 
-    // As a farm does it: each task some of the frames, by their numbers.
+    // As in a render farm: each task renders some frames, by their numbers.
     fs::remove_dir_all(&frames).unwrap();
     succeeds(at, &[&turntable[..], &["--frame", "1003"]].concat());
     assert_eq!(names(&frames), files[2..3]);

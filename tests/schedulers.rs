@@ -1,5 +1,5 @@
-//! What schedulers ask of the command line: progress as lines, a stop that keeps what was done, single frames of a sequence.
-//! (The frames are in `render_sequence`.)
+//! The command line under schedulers: progress as lines, a stop that keeps the progress, single frames of a
+//! sequence (in `render_sequence`).
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -11,7 +11,7 @@ use tempfile::TempDir;
 
 use crate::service_support::capture_zip;
 
-/// `relume train` with settings of a second or so; `more` says the steps.
+/// `relume train` with settings for about a second; `more` sets the steps.
 fn train(folder: &Path, more: &[&str]) -> Command {
     std::fs::write(folder.join("scan.zip"), capture_zip()).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
@@ -84,7 +84,7 @@ mod stops {
 
     use super::*;
 
-    /// A training that has done its first step. The reader keeps its output open.
+    /// A training that has completed its first step. The reader keeps its output open.
     fn started(folder: &Path, more: &[&str]) -> (Child, BufReader<std::process::ChildStdout>) {
         let mut command = train(folder, &[&["--progress", "json"], more].concat());
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
@@ -154,7 +154,8 @@ mod stops {
         let folder = TempDir::new().unwrap();
         let code = || {
             let (mut child, _reader) = started(folder.path(), &["--iterations", "5000", "--checkpoint", "c"]);
-            // Both are there before it runs on. Two of its threads may take them in the same instant: then none is the second.
+            // Both signals are pending before the process continues. Two of its threads may handle them at
+            // the same time; then neither counts as the second.
             send(&child, &["STOP", "TERM", "INT", "CONT"]);
             let code = child.wait().unwrap().code();
             std::fs::remove_file(folder.path().join("c")).ok();

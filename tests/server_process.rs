@@ -1,4 +1,4 @@
-//! The real server as a process of its own.
+//! The server as a separate process.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 
 use relume_client::Client;
 
-/// A server process; dying with the test.
+/// A server process, which is killed with the test.
 pub struct Server {
     pub child: Child,
     pub client: Client,
@@ -17,7 +17,7 @@ impl Server {
         Self::start_under(Command::new(env!("CARGO_BIN_EXE_relume")), data)
     }
 
-    /// `command` runs the server once it gets the server's own arguments.
+    /// `command` runs the server when the server's own arguments are added.
     pub fn start_under(mut command: Command, data: &Path) -> Self {
         command.args(["serve", "--listen", "127.0.0.1:0", "--data-dir"]).arg(data);
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
@@ -27,7 +27,7 @@ impl Server {
         Self { client: Client::new(base, None).unwrap(), child }
     }
 
-    /// SIGKILL: nothing is flushed, nothing is handed over.
+    /// SIGKILL: the server flushes and releases nothing.
     pub fn kill(mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();

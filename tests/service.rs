@@ -1,4 +1,4 @@
-//! The service from outside: upload, train, look, download, render.
+//! The service through its API: upload, train, query, download, render.
 
 use relume::server::ServerConfig;
 use relume::testing;
@@ -7,8 +7,7 @@ use relume_api::cameras::{CameraSpec, LookAtSpec};
 use relume_api::jobs::{JobState, NewJob};
 use relume_api::renders::RenderRequest;
 use relume_capture::formats::image_file;
-use relume_engine::Device;
-use relume_engine::DeviceChoice;
+use relume_engine::{Device, DeviceChoice};
 use relume_spec::rendering::{Background, ColourDepth, FrameFormat, Output, ToneCurve};
 
 use crate::service_support::{capture_zip, ended, small_job, trained, until};
@@ -52,14 +51,14 @@ async fn a_capture_becomes_a_model_that_renders_over_http() {
     server.stop().await.unwrap();
 }
 
-/// What `Server-Timing` says about the wait: training steps that ended meanwhile.
+/// The wait according to `Server-Timing`: number of training steps that ended in it.
 fn steps_waited(response: &reqwest::Response) -> u64 {
     let timing = response.headers()["server-timing"].to_str().unwrap();
     let steps = timing.split("desc=\"").nth(1).unwrap().split(' ').next().unwrap();
     steps.parse().unwrap()
 }
 
-/// Renders thumbnails while `job` trains, and says what each waited.
+/// Renders thumbnails while `job` trains, and returns the wait of each.
 async fn steps_waited_during(
     server: &testing::TestServer,
     job: impl FnOnce(&CaptureId) -> NewJob,
@@ -68,7 +67,7 @@ async fn steps_waited_during(
     let model = trained(client).await.model.unwrap();
     let url =
         |azimuth: u32| format!("{}v1/models/{model}/thumbnail?size=64&azimuth={azimuth}", client.base());
-    // The first one prepares the light.
+    // The first thumbnail prepares the light.
     reqwest::get(url(1)).await.unwrap().error_for_status().unwrap();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
     let job = client.create_job(&job(&capture.id), None).await.unwrap();
@@ -89,7 +88,8 @@ async fn without_a_gpu_thumbnails_do_not_wait_for_training_steps() {
     let folder = tempfile::TempDir::new().unwrap();
     let on_cpu = |config: &mut ServerConfig| config.worker.device = DeviceChoice::Cpu;
     let server = testing::spawn_with(folder, on_cpu).await.unwrap();
-    // Steps that are long against a thumbnail: were frames served between steps, each would see the end of one.
+    // Steps that take longer than a thumbnail: if frames were rendered between steps, each would wait for the
+    // end of a step.
     let long_steps = |capture: &CaptureId| {
         let mut job = small_job(capture, 100_000, 50_000);
         job.overrides.initial_gaussians = Some(60_000);
@@ -111,7 +111,7 @@ async fn on_a_gpu_thumbnails_wait_for_at_most_one_training_step() {
     let server = testing::spawn_with(folder, on_gpu).await.unwrap();
     let mut waited = steps_waited_during(&server, |capture| small_job(capture, 100_000, 50_000)).await;
     waited.sort_unstable();
-    // The operating system may leave a thread waiting for a few steps, seldom.
+    // Occasionally the operating system lets a thread wait for a few steps.
     assert!(waited[waited.len() / 2] <= 1, "{waited:?}");
     server.stop().await.unwrap();
 }

@@ -1,4 +1,4 @@
-//! What the headers of answers and the times of events tell.
+//! Headers of answers and times of events.
 
 use relume::testing;
 use relume_capture::formats::environment;
@@ -24,7 +24,7 @@ async fn head_of_a_thumbnail_returns_its_etag_without_rendering() {
     for name in [header::ETAG, header::CONTENT_TYPE, header::CACHE_CONTROL] {
         assert_eq!(head[&name], get[&name]);
     }
-    // What was rendered says how long that took.
+    // A rendered answer states its rendering time.
     assert!(!head.contains_key("server-timing") && get.contains_key("server-timing"));
 }
 
@@ -63,7 +63,7 @@ async fn created_resources_have_a_location_and_events_a_time() {
     assert_eq!((times.first(), times.last()), (Some(&job.created_at), job.finished_at.as_ref()));
     let retry = client.request(Method::POST, &format!("/v1/jobs/{id}/retry")).unwrap();
     assert_eq!(location(retry).await, StatusCode::ACCEPTED);
-    // A repetition is answered as the first time, whatever has become of the capture since.
+    // A repetition gets the first answer, even after the deletion of the capture.
     let delete = format!("/v1/captures/{}?cascade=true", capture.id);
     let gone = client.request(Method::DELETE, &delete).unwrap().send().await.unwrap();
     assert_eq!(gone.status(), StatusCode::NO_CONTENT);

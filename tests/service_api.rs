@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 
 use crate::service_support::{capture_zip, ended, small_job, trained};
 
-/// Sends, and checks that the answer is a problem of a kind with this request's identifier.
+/// Sends a request and checks that the answer is a problem of this type with the request's identifier.
 async fn problem(request: RequestBuilder, status: u16, kind: &str) -> Value {
     let response = request.header("x-request-id", "test-1").send().await.unwrap();
     assert_eq!(response.headers()["x-request-id"], "test-1");
@@ -315,7 +315,7 @@ async fn an_invalid_render_request_is_refused_with_a_pointer() {
         (with("/samples", json!(0)), "/samples"),
         (with("/samples", json!(70_000)), "/samples"),
         (with("/seed", json!(-1)), "/seed"),
-        // 2^21 queries are the most: at 64 x 64 pixels 512 samples.
+        // The maximum is 2^21 queries: 512 samples at 64 x 64 pixels.
         (reference(64, 513), "/samples"),
         (reference(2048, 1), "/samples"),
     ];

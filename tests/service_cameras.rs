@@ -1,4 +1,4 @@
-//! The cameras of a capture, and frames for cameras that are written in each convention.
+//! The cameras of a capture, and frames for cameras in each convention.
 
 use relume::testing;
 use relume_api::cameras::{CameraConvention, CaptureCameras};
@@ -44,7 +44,7 @@ async fn capture_cameras_give_the_same_frame_in_every_convention() {
         frames.push(of_two);
     }
     assert_eq!(frames[0], frames[1], "the same bytes");
-    // A quaternion is another way to round.
+    // A quaternion rounds differently from a matrix.
     let pixels = |png: &[u8]| image::load_from_memory(png).unwrap().into_rgba8().into_raw();
     for (matrix, quaternion) in frames[0].iter().zip(&frames[2]) {
         let pairs = pixels(matrix).into_iter().zip(pixels(quaternion));

@@ -1,11 +1,10 @@
-//! The commands that work without a server, as a user types them.
+//! Commands that work without a server, as processes.
 
 use std::path::Path;
 use std::process::{Command, Output};
 
-use relume_capture::ImportLimits;
 use relume_capture::formats::{image_file, model_file};
-use relume_capture::{ImportOptions, inspect};
+use relume_capture::{ImportLimits, ImportOptions, inspect};
 use relume_engine::Device;
 use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
 use relume_train::{MemoryBudget, Trainer, import_for_training};

@@ -1,4 +1,4 @@
-//! The API's description: whole, without dangling references, and the one that is checked in.
+//! The API description: complete, without dangling references, and equal to the checked-in file.
 
 use serde_json::Value;
 
@@ -41,7 +41,7 @@ fn checked_in_openapi_file_matches_the_code() {
     assert!(render["422"]["content"]["application/problem+json"].is_object(), "{render}");
     assert!(render["200"]["content"]["image/png"].is_object());
     assert!(paths.len() >= 18, "{:?}", paths.keys().collect::<Vec<_>>());
-    // What a job may change is spelled out, down to the defaults of what is nested.
+    // The settings that a job can change are described, including the defaults of nested fields.
     let schemas = &generated["components"]["schemas"];
     let overrides = &schemas["TrainOverrides"];
     assert_eq!(overrides["additionalProperties"], false);
@@ -69,7 +69,7 @@ fn texts(value: &serde_json::Value, at: &str, found: &mut Vec<(String, String)>)
     }
 }
 
-/// What a text says that only readers of the source code understand.
+/// A part of a text that only readers of the source code understand.
 fn source_reference(text: &str) -> Option<&'static str> {
     ["[`", "Eq. ", "docs/", "crates/", "src/", "::"].into_iter().find(|part| text.contains(part))
 }

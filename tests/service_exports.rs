@@ -1,4 +1,5 @@
-//! Exports over HTTP: what is made is what the command line makes, and it is made to its end whatever happens meanwhile.
+//! Exports over HTTP: their files equal those of the command line, and they are completed despite
+//! interruptions.
 
 use std::fs;
 use std::io::Read;
@@ -55,7 +56,7 @@ async fn made(client: &Client, model: &ModelId, body: &Value) -> (ExportView, Ve
     (export, bytes)
 }
 
-/// A folder with the model's file, under the name that its frames note.
+/// A folder with the model's file, under the name in the metadata of its frames.
 async fn with_model(client: &Client, model: &ModelId) -> TempDir {
     let folder = TempDir::new().unwrap();
     let file = client.file(model, "model.safetensors").await.unwrap();
@@ -242,7 +243,7 @@ async fn until_gone(path: &Path) {
     panic!("{} stays", path.display());
 }
 
-/// Frames that nobody waits to the end for.
+/// A request for an export with more frames than any test waits for.
 fn long() -> Value {
     json!({ "kind": "frames", "turntable": { "frames": 10_000 }, "width": 128, "height": 128 })
 }
@@ -257,7 +258,7 @@ async fn delete_first_cancels_an_export_and_then_removes_it() {
     let refused = post(client, &model, &json!({ "kind": "ply" })).await;
     assert_eq!(refused.status(), StatusCode::TOO_MANY_REQUESTS, "two may wait or run");
     until(client, &running.id, |export| export.progress.done > 0).await;
-    // Whoever looks is answered meanwhile.
+    // Other requests are answered during the export.
     client.thumbnail(&model, "size=16").await.unwrap();
     assert_eq!(client.export(&running.id).await.unwrap().state, ExportState::Running);
 
@@ -305,7 +306,7 @@ async fn exports_are_deleted_with_their_model_and_not_backed_up() {
     until_gone(&server.data_dir().join("exports").join(running.id.as_str())).await;
     let refused = post(client, &model, &json!({ "kind": "gltf" })).await;
     assert_eq!(refused.status(), StatusCode::NOT_FOUND);
-    // What a server that died left goes at the next start.
+    // The next start removes the remains of a killed server.
     let data = server.stop().await.unwrap();
     let left = [
         "exports/01890000-0000-7000-8000-000000000000/0001.png",
@@ -465,7 +466,7 @@ async fn a_video_export_shows_the_same_frames_as_the_zip() {
     ];
     let told = Command::new("ffprobe").args(probe).args(["-of", "csv=p=0"]).arg(&file).output().unwrap();
     assert_eq!(String::from_utf8_lossy(&told.stdout).trim(), "h264,64,48,10/1,5");
-    // The first picture is the first frame of a zip over white, within what the codec loses.
+    // The first image equals the first frame of a zip over white, within the loss of the codec.
     let picture = folder.path().join("first.png");
     let first = ["-v", "error", "-frames:v", "1", "-y"];
     let done = Command::new("ffmpeg").arg("-i").arg(&file).args(first).arg(&picture).status().unwrap();

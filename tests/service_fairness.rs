@@ -1,4 +1,4 @@
-//! How much one key or tenant may take, and who is named in the log.
+//! Limits of keys and tenants, and the caller in the log.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
@@ -34,7 +34,7 @@ fn bearer(server: &TestServer, key: &str) -> Client {
     Client::new(server.client().base().as_str(), Some(key.to_owned())).unwrap()
 }
 
-/// A client with a fresh key of a tenant.
+/// A client with a new key of a tenant.
 async fn of_tenant(server: &TestServer, tenant: &str) -> Client {
     let body = serde_json::json!({ "name": "x", "tenant": tenant, "scopes": ALL_OF_A_TENANT });
     let request = bearer(server, KEYS[0]).request(Method::POST, "/v1/keys").unwrap().json(&body);
@@ -50,7 +50,7 @@ fn told(answer: &Response, name: &str) -> String {
     answer.headers().get(name).map(|v| v.to_str().unwrap().to_owned()).unwrap_or_default()
 }
 
-/// The status and kind of a refusal.
+/// Status and problem type of a refusal.
 fn refusal<T: std::fmt::Debug>(result: Result<T, relume_client::ClientError>) -> (u16, String) {
     match result.unwrap_err() {
         relume_client::ClientError::Problem(problem) => {
@@ -71,7 +71,7 @@ async fn a_key_over_its_rate_limit_gets_429_with_retry_after() {
     .await;
     let (one, other) = (bearer(&server, KEYS[0]), bearer(&server, KEYS[1]));
     for left in [2, 1, 0] {
-        // What does not exist and what is refused counts, too.
+        // Requests for missing resources and refused requests count as well.
         let answer = get(&one, ["/v1/jobs", "/v1/models/nobody", "/nowhere"][left]).await;
         assert_ne!(answer.status(), 429);
         assert_eq!(told(&answer, "ratelimit-policy"), "\"requests\";q=3;w=60, \"tenant\";q=30;w=60");
@@ -161,7 +161,8 @@ async fn storage_quota_of_a_tenant_is_enforced() {
     let first = a.upload_capture_bytes(capture_zip()).await.unwrap();
     assert_eq!(a.capture(&first.id).await.unwrap().bytes, bytes as i64);
     let of_b = b.upload_capture_bytes(capture_zip()).await.unwrap();
-    // A model may go beyond, for its size is not known before; then nothing more is begun.
+    // A model may exceed the quota, because its size is not known in advance; then no further job is
+    // accepted.
     let job = b.create_job(&small_job(&of_b.id, 3, 5), None).await.unwrap();
     ended(&b, &job.id).await;
     assert_eq!(refusal(b.create_job(&small_job(&of_b.id, 3, 5), None).await).0, 507);
@@ -170,7 +171,7 @@ async fn storage_quota_of_a_tenant_is_enforced() {
 
 type Pieces = UnboundedSender<Result<Vec<u8>, std::io::Error>>;
 
-/// An upload whose pieces are sent one by one; it ends when the sender is dropped.
+/// An upload whose chunks are sent one by one; it ends when the sender is dropped.
 fn streamed(client: &Client, path: &str) -> (Pieces, JoinHandle<Result<Response, reqwest::Error>>) {
     let (pieces, body) = futures::channel::mpsc::unbounded();
     let request = client.request(Method::POST, path).unwrap().header("content-type", "application/zip");
@@ -183,7 +184,7 @@ async fn answered(upload: JoinHandle<Result<Response, reqwest::Error>>) -> (u16,
     (answer.status().as_u16(), answer.text().await.unwrap())
 }
 
-/// Waits until files of so many bytes together are on their way.
+/// Waits until the staged uploads have this total size, bytes.
 async fn until_on_disk(server: &TestServer, bytes: u64) {
     let folder = server.data_dir().join("artifacts/incoming");
     while files_under(&folder).iter().map(|(_, size)| size).sum::<u64>() < bytes {
@@ -193,7 +194,7 @@ async fn until_on_disk(server: &TestServer, bytes: u64) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn concurrent_uploads_together_respect_quota_and_disk_limit() {
-    // Larger than the pieces in which uploads are written.
+    // Larger than the chunks in which uploads are written.
     const HALF: usize = 12 << 20;
     for (quota, limit) in [(Some(HALF as u64 * 3), None), (None, Some(HALF as u64 * 3))] {
         let server = server(|config| {
@@ -265,7 +266,7 @@ async fn only_the_operator_sees_the_usage_of_all_tenants() {
     let (of_a, of_operator) = (a.usage().await.unwrap(), operator.usage().await.unwrap());
     assert_eq!((of_operator.limit_bytes, of_operator.free_bytes.is_some()), (Some(size + 10), true));
     assert_eq!(of_a, relume_api::usage::Usage::default(), "nothing but what it has");
-    // An administrator of the operator's tenant, not everybody in it.
+    // Only an administrator of the operator's tenant, not every key of it.
     let body = serde_json::json!({ "name": "x", "tenant": "default", "scopes": ["read"] });
     let request = operator.request(Method::POST, "/v1/keys").unwrap().json(&body).send().await.unwrap();
     let made: Value = serde_json::from_str(&request.text().await.unwrap()).unwrap();
@@ -320,7 +321,7 @@ async fn logs_contain_key_id_and_tenant_but_not_the_secret() {
     assert!(!log.iter().any(|line| line.contains(&secret[21..])));
 }
 
-/// Asks a process to end, so that its log is whole.
+/// Terminates a process with a signal, so that its log is complete.
 fn terminate(child: &std::process::Child) {
     let asked = Command::new("kill").arg(child.id().to_string()).status().unwrap();
     assert!(asked.success());

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::service_support::{CaptureZip, capture_zip, files_under};
 
-/// The files of the capture that [`capture_zip`] is the archive of, by their paths.
+/// The files in the archive of [`capture_zip`], by their paths.
 fn files() -> Vec<(String, Vec<u8>)> {
     let capture = CaptureZip::new(8, 32);
     let transforms = serde_json::to_vec(&capture.transforms).unwrap();
@@ -38,7 +38,7 @@ async fn a_capture_of_single_files_equals_that_of_their_archive() {
     let (status, report) = send(&server, "/v1/captures/validate", form(files())).await;
     assert_eq!((status, &report), (StatusCode::OK, &made["report"]));
     let mut large = files();
-    // Longer than the field of a tar's header, and larger than a chunk.
+    // A path longer than the field of a tar header, and a file larger than a chunk.
     large.push((format!("{}/notes.txt", "long".repeat(40)), vec![7; 300_001]));
     let (status, made) = send(&server, "/v1/captures", form(large)).await;
     assert_eq!(status, StatusCode::CREATED, "{made}");

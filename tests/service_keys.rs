@@ -1,4 +1,4 @@
-//! API keys: made, used, listed, revoked; by HTTP and by the command line.
+//! API keys: creation, use, lists and revocation, over HTTP and on the command line.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -18,7 +18,7 @@ use tempfile::TempDir;
 
 const OPERATOR: &str = "the-operators-own-key";
 
-/// A server with the operator's key and a clock that stands.
+/// A server with the operator's key and a stopped clock.
 async fn server() -> (TestServer, Arc<ManualClock>) {
     let clock = Arc::new(ManualClock::default());
     let hands = clock.clone();
@@ -51,7 +51,7 @@ async fn get(server: &TestServer, key: &str, path: &str) -> (u16, Value) {
     ask(server, key, Method::GET, path, None).await
 }
 
-/// Makes a key; its identifier and the key itself.
+/// Creates a key; returns its identifier and the key.
 async fn made(server: &TestServer, by: &str, body: Value) -> (String, String) {
     let (status, made) = ask(server, by, Method::POST, "/v1/keys", Some(&body)).await;
     assert_eq!(status, 201, "{made}");
@@ -209,7 +209,8 @@ async fn metrics_scope_reads_only_metrics() {
     for path in ["/v1/keys", "/v1/jobs", "/v1/usage"] {
         assert_eq!(get(&server, &key, path).await.0, 403, "{path}");
     }
-    // Of no use to another tenant, to whose keys it was given before; its administrators do not give it to themselves.
+    // Another tenant cannot use this scope, even in keys of earlier versions; its administrators cannot grant
+    // it to themselves.
     let (_, of_a) = made(&server, OPERATOR, json!({ "name": "a", "tenant": "a", "scopes": ["admin"] })).await;
     let unnamed = json!({ "name": "scraper", "scopes": ["read", "metrics"] });
     for (key, body) in [(OPERATOR, scraper("a")), (&of_a, scraper("a")), (&of_a, unnamed)] {
@@ -237,7 +238,7 @@ async fn raising_priority_needs_a_scope_that_only_the_operator_grants() {
     assert!(refused["detail"].as_str().unwrap().contains("\"priority\""), "{refused}");
     let running = post(&submits, "/v1/jobs", job(0)).await;
     assert_eq!(running.0, 202);
-    // The next one has a higher priority: it must not find the worker free.
+    // The next job has a higher priority, so the worker must already be busy.
     let first = format!("/v1/jobs/{}", running.1["id"].as_str().unwrap());
     while get(&server, &submits, &first).await.1["state"] == json!("queued") {
         tokio::time::sleep(std::time::Duration::from_millis(10)).await;
@@ -250,7 +251,7 @@ async fn raising_priority_needs_a_scope_that_only_the_operator_grants() {
         let (status, told) = ask(&server, key, Method::PATCH, &path, Some(&change(priority))).await;
         assert_eq!(status, expected, "{told}");
     }
-    // Repeating what was raised does not raise.
+    // A retry of a job with a raised priority does not keep the raise.
     assert_eq!(post(&submits, &format!("{path}/cancel"), json!({})).await.0, 200);
     let (status, again) = post(&submits, &format!("{path}/retry"), json!({})).await;
     assert_eq!((status, &again["priority"]), (202, &json!(0)), "{again}");
@@ -299,7 +300,8 @@ async fn last_use_of_a_key_is_stored_at_most_once_a_minute() {
         panic!("never used at {time}");
     };
     assert_eq!(get(&server, OPERATOR, &path).await.1["last_used_at"], json!(null));
-    // Whoever knows the identifier alone has not used the key: written down, this would hide the use a second later.
+    // A caller that knows only the identifier has not used the key. If this were recorded, it would hide the
+    // real use a second later.
     let forged = format!("/v1/models/x/thumbnail?key={id}&expires=9999999999&signature=00");
     assert_eq!(get(&server, "", &forged).await.0, 403);
     clock.advance(Duration::from_secs(1));
@@ -307,7 +309,7 @@ async fn last_use_of_a_key_is_stored_at_most_once_a_minute() {
     until_used_at("1970-01-01T00:00:01Z").await;
     clock.advance(Duration::from_secs(59));
     get(&server, &secret, "/v1/jobs").await;
-    // Written in order by one connection: had that use been written down, the next one could not come after it.
+    // One connection writes in order: if that use had been recorded, the next one could not be recorded.
     clock.advance(Duration::from_secs(1));
     get(&server, &secret, "/v1/jobs").await;
     until_used_at("1970-01-01T00:01:01Z").await;

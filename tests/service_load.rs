@@ -1,8 +1,8 @@
-//! The table of `relume bench service`, with numbers so small that only its shape can be told.
+//! The table of `relume bench service`, with so few measurements that only its shape is tested.
 
 use std::process::Command;
 
-/// Loads that take no time.
+/// Options with which the loads take little time.
 const TINY: &str = "--thumbnails 3 --size 16 --iterations 5 --gaussians 64 --photographs 3 --megapixels 0.01 --renders 2 --sockets 9";
 
 fn bench(more: &[&str]) -> (bool, String, String) {
@@ -16,7 +16,7 @@ fn bench(more: &[&str]) -> (bool, String, String) {
     (output.status.success(), text(&output.stdout), text(&output.stderr))
 }
 
-/// The cells of the rows below the head.
+/// The cells of the rows below the header.
 fn rows(table: &str) -> Vec<Vec<String>> {
     let cells = |line: &str| line.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect();
     table.lines().filter(|line| line.starts_with('|')).skip(2).map(cells).collect()

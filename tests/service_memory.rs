@@ -1,4 +1,4 @@
-//! Requests that need much memory: refused or made to wait by what the server may take, and nothing of them stays.
+//! Requests that need much memory: the memory budget delays or refuses them, and they leave no files.
 
 use relume::testing;
 use reqwest::Method;
@@ -9,7 +9,7 @@ use tokio::net::TcpStream;
 
 use crate::service_support::{files_under, trained};
 
-/// A Radiance header that names the largest map; its texels are not there.
+/// A Radiance header of the largest map, without texels.
 const LARGEST_MAP: &str = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8192 +X 16384\n";
 
 async fn problem(answer: reqwest::Response) -> Value {
@@ -72,7 +72,7 @@ async fn requests_over_the_memory_limit_answer_413_and_others_succeed() {
     assert_eq!(frame(64, &all).send().await.unwrap().status(), 200, "the control: a small frame is made");
     let thumbnail = client.request(Method::GET, &format!("/v1/models/{model}/thumbnail?size=64")).unwrap();
     assert_eq!(thumbnail.send().await.unwrap().status(), 200);
-    // The checkpoint of the job that has ended may have gone meanwhile.
+    // The checkpoint of the ended job may have been removed in the meantime.
     let is_new = |file: &(String, u64)| !file.0.starts_with("cache/") && !before.contains(file);
     let left: Vec<_> = files_under(server.data_dir()).into_iter().filter(is_new).collect();
     assert!(left.is_empty(), "left of them: {left:?}");

@@ -1,4 +1,4 @@
-//! Clients that are slow, silent or many: others are answered all the same, and nothing of theirs is held for long.
+//! Slow, silent or many clients: others are still answered, and connections are not held for long.
 
 use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
@@ -15,10 +15,10 @@ use tokio::net::TcpStream;
 
 use crate::service_support::{capture_zip, files_under, trained};
 
-/// Far more than anything here should take.
+/// Much longer than any operation of these tests takes.
 const LONG: Duration = Duration::from_secs(60);
 
-/// What a slow client has sent when it stops.
+/// The part of a request that a slow client sends before it stops.
 const HALF_SENT: [&str; 4] = [
     "",
     "GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: ",
@@ -83,7 +83,7 @@ async fn after_a_refused_upload_the_next_request_succeeds() {
         let pieces = futures::stream::iter([Ok::<_, std::io::Error>(vec![0; bytes])]);
         let request = server.client().request(reqwest::Method::POST, "/v1/captures").unwrap();
         let request = request.header("content-type", "application/zip");
-        // A body in pieces cannot be sent twice: no client would repair what this server breaks.
+        // A streamed body cannot be sent twice, so the client cannot hide a fault of the server by a retry.
         let answer = request.body(reqwest::Body::wrap_stream(pieces)).send().await.unwrap();
         assert_eq!(answer.status(), 507);
     }
@@ -93,7 +93,7 @@ async fn after_a_refused_upload_the_next_request_succeeds() {
 async fn two_thousand_partial_requests_do_not_block_other_clients() {
     raise_file_limit(5000);
     let (files, _) = rlimit::getrlimit(rlimit::Resource::NOFILE).unwrap();
-    // Both ends of each connection are files of this process.
+    // Both ends of each connection are open files of this process.
     let count = usize::try_from(files / 2).unwrap().saturating_sub(300).min(2000);
     let server = testing::spawn().await.unwrap();
     let model = trained(server.client()).await.model.unwrap();
@@ -108,7 +108,7 @@ async fn two_thousand_partial_requests_do_not_block_other_clients() {
     server.stop().await.unwrap();
 }
 
-/// A server of its own process, which may open `files` files.
+/// A server in a separate process, which may open `files` files.
 fn serve_with_files(folder: &Path, files: u32) -> (Child, Client) {
     let script = format!("ulimit -n {files} && exec \"$0\" serve --listen 127.0.0.1:0 --data-dir data");
     let mut server = Command::new("sh")
@@ -149,7 +149,8 @@ async fn at_the_connection_limit_only_idle_connections_are_closed() {
         others.push(half_sent(address(server.client()), HALF_SENT[1]).await);
     }
     assert_eq!(until_closed(&mut first).await, "", "the one that waited longest is closed");
-    // Not the client from before: its idle connection is among those that were closed, and may not know it yet.
+    // A new client: the idle connection of the previous one was also closed, which it may not have noticed
+    // yet.
     let client = Client::new(server.client().base().as_str(), None).unwrap();
     assert!(is_healthy(&client).await);
     assert_eq!(client.captures().await.unwrap().items[0].id, capture.id);
@@ -245,7 +246,7 @@ async fn a_shutdown_does_not_wait_for_partial_requests() {
     let server = testing::spawn().await.unwrap();
     let mut slow = half_sent(address(server.client()), HALF_SENT[1]).await;
     assert!(is_healthy(server.client()).await);
-    // Less than connections are given to end.
+    // Shorter than the drain timeout of connections.
     tokio::time::timeout(Duration::from_secs(15), server.stop()).await.unwrap().unwrap();
     assert_eq!(until_closed(&mut slow).await, "");
 }

@@ -1,4 +1,5 @@
-//! Web pages: which may use a server, what they may read, and what a server without a key does about the others.
+//! Web pages: the permitted origins, the headers that they can read, and the protection of a server without
+//! keys.
 
 use relume::server::{ApiKeys, CorsOrigin, ServerConfig};
 use relume::testing::{self, TestServer};
@@ -21,7 +22,7 @@ fn request(server: &TestServer, method: Method, path: &str) -> RequestBuilder {
     server.client().request(method, path).unwrap()
 }
 
-/// The status and the kind of problem of an answer.
+/// Status and problem type of an answer.
 async fn outcome(request: RequestBuilder) -> (StatusCode, String) {
     let answer = request.send().await.unwrap();
     let status = answer.status();
@@ -104,7 +105,7 @@ async fn without_a_key_cross_origin_requests_are_refused() {
     assert_eq!(outcome(from("https://evil.example")).await, refused);
     assert_eq!(outcome(from("null")).await, refused);
     assert_eq!(outcome(upload().header("sec-fetch-site", "cross-site")).await, refused);
-    // The others get as far as the archive itself.
+    // Other requests are refused only because of the archive.
     let read = (StatusCode::UNPROCESSABLE_ENTITY, "invalid-content".to_owned());
     assert_eq!(outcome(from("https://app.example")).await, read);
     assert_eq!(outcome(upload()).await, read);

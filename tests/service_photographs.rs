@@ -1,4 +1,4 @@
-//! The photographs of a capture over HTTP: which there are, and how they look.
+//! The photographs of a capture over HTTP: the list and the images.
 
 use relume::testing;
 use relume_api::CaptureId;
@@ -64,7 +64,7 @@ async fn a_photograph_is_served_at_the_requested_width() {
     let whole = picture(client, &photographs[1], "").await;
     let sent_pixels = image::load_from_memory(&sent.images[1].1).unwrap().into_rgba8();
     assert_eq!(whole.dimensions(), (48, 48));
-    // Over white, but for the losses of a JPEG.
+    // Composited over white, within the loss of JPEG.
     let error = |shown: &image::RgbImage| {
         let of = |(shown, sent): (&image::Rgb<u8>, &image::Rgba<u8>)| {
             let white = |k: usize| if sent[3] == 0 { 255 } else { sent[k] };
@@ -152,7 +152,7 @@ async fn photograph_names_outside_the_capture_answer_404() {
     }
 }
 
-/// A nerfstudio capture whose lens bends lines by `k1`, in a folder of its own.
+/// A nerfstudio capture with the lens distortion `k1`, in its own folder.
 fn bent(k1: f64) -> Vec<(String, Vec<u8>)> {
     let CaptureZip { mut transforms, images } = with_a_dark_one();
     for (frame, (name, _)) in transforms["frames"].as_array_mut().unwrap().iter_mut().zip(&images) {

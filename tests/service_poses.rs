@@ -1,5 +1,5 @@
-//! Photographs without poses that are sent to a server: what becomes of them with COLMAP, and where it fails. A script stands in
-//! for it; one ignored test uses the real one.
+//! Photographs without poses that are sent to a server, with COLMAP and with its failures. A script replaces
+//! COLMAP; one ignored test uses the real program.
 
 #![cfg(unix)]
 
@@ -30,9 +30,9 @@ use relume_fixtures::data;
 use relume_fixtures::small_set::picture;
 
 const PHOTOGRAPHS: usize = 8;
-/// What a script does to wait until the file `gate` is there.
+/// Shell code that waits until the file `gate` exists.
 const WAIT: &str = "while [ ! -e \"$(dirname \"$0\")/gate\" ]; do sleep 0.05; done";
-/// What a script does to say who it is and never end.
+/// Shell code that writes the process id and never ends.
 const HANG: &str = "echo $$ > \"$(dirname \"$0\")/pid\"; while :; do sleep 0.2; done";
 
 fn photographs(first: usize) -> Vec<(String, Vec<u8>)> {
@@ -52,7 +52,7 @@ async fn server(place: &Place) -> TestServer {
     server_on(TempDir::new().unwrap(), place, |_| {}).await
 }
 
-/// The capture once `done` holds.
+/// The capture when `done` is true.
 async fn until(client: &Client, id: &CaptureId, done: impl Fn(&CaptureSummary) -> bool) -> CaptureSummary {
     for _ in 0..3000 {
         let capture = client.capture(id).await.unwrap();
@@ -97,7 +97,7 @@ async fn gone(pid: &str) {
     panic!("{pid} runs on");
 }
 
-/// The only files that are left are these.
+/// Checks that only these files remain.
 async fn left(data: &Path, wanted: &[String]) {
     let names = || -> Vec<String> { files_under(data).into_iter().map(|(name, _)| name).collect() };
     for _ in 0..500 {
@@ -140,7 +140,7 @@ async fn photographs_without_poses_become_one_posed_capture() {
     let sent = hex(&Sha256::digest(&archive));
     assert_eq!(made.made_of.as_ref(), Some(&sent));
     assert_ne!(made.sha256, sent);
-    // What is stored is the posed capture, under its own hash, and it counts.
+    // The posed capture is stored under its own hash and counts as stored.
     let file = server.data_dir().join(format!("artifacts/captures/{}", made.sha256));
     left(server.data_dir(), &[format!("artifacts/captures/{}", made.sha256)]).await;
     let bytes = fs::read(file).unwrap();
@@ -229,7 +229,7 @@ async fn deletion_stops_pose_estimation() {
         let pid = hanging(&place).await;
         assert!(is_running(&pid), "the control");
         let waiting = client.upload_capture_bytes(zip_of(&photographs(8))).await.unwrap();
-        // One that waits is deleted, too.
+        // A waiting capture can also be deleted.
         client.delete_capture(&waiting.id, false).await.unwrap();
         match of_upload {
             false => client.delete_capture(&begun.id, false).await.unwrap(),
@@ -267,7 +267,7 @@ async fn failed_pose_estimation_reports_the_cause_and_keeps_its_log() {
         assert!(!detail.contains(&*server.data_dir().to_string_lossy()), "{detail}");
         let log = client.capture_log(&begun.id).await.unwrap();
         assert!(log.contains("Processed file [8/8]"), "{log}");
-        // The upload and the log, and nothing else, until somebody deletes them.
+        // Only the upload and the log remain, until they are deleted.
         let upload = failed.upload.unwrap();
         left(
             server.data_dir(),

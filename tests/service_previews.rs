@@ -1,4 +1,4 @@
-//! Watching a training.
+//! Previews of a running training.
 
 use std::time::Duration;
 
@@ -27,7 +27,7 @@ async fn problem(answer: Response) -> (u16, String, String) {
     (status, text("type").replace("urn:relume:problem:", ""), text("detail"))
 }
 
-/// A job that trains until it is cancelled, and one that waits behind it.
+/// A job that trains until it is cancelled, and a queued job after it.
 async fn busy(server: &TestServer) -> (JobView, JobView) {
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
@@ -36,7 +36,7 @@ async fn busy(server: &TestServer) -> (JobView, JobView) {
     (first, second)
 }
 
-/// The first picture of a job whose step is not `but`.
+/// The first preview of a job with another step than `but`.
 async fn picture(client: &Client, job: &JobId, but: Option<u32>) -> (u32, String, Vec<u8>) {
     loop {
         let answer = ask(client, job, "?size=32", None).await;

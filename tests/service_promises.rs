@@ -1,4 +1,4 @@
-//! What the service promises, one test a promise, on the queue and the store themselves.
+//! The guarantees of the service, one test each, on the queue and the store.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -18,14 +18,14 @@ use tempfile::TempDir;
 
 use crate::service_support::{capture_zip, ended, files_under, open_store, raw_pool, small_job, until};
 
-/// A queue with a clock of its own and one capture in it.
+/// A queue with its own clock and one capture.
 pub struct Bench {
     pub jobs: Jobs,
     pub clock: Arc<ManualClock>,
     dir: TempDir,
 }
 
-/// Whose everything is.
+/// The tenant of all resources.
 fn tenant() -> TenantId {
     TenantId::of_operator()
 }
@@ -61,7 +61,7 @@ impl Bench {
         self.submit_with(priority, None).await.unwrap()
     }
 
-    /// Submits a job that asks for more than is measured.
+    /// Submits a job with a quality gate on one figure.
     pub async fn submit_asking(&self, figure: &str, wanted: &str) -> JobId {
         let quality_gate = QualityGate([(figure.to_owned(), wanted.to_owned())].into());
         let job = NewJob { capture: "capture".into(), quality_gate, ..NewJob::default() };
@@ -75,7 +75,7 @@ impl Bench {
         }
     }
 
-    /// Submits and answers with the identifier.
+    /// Submits a job with the identifier as the answer.
     async fn submit_with(&self, priority: i64, key: Option<&IdempotencyKey>) -> Result<JobId, StoreError> {
         let job = NewJob { capture: "capture".into(), priority, ..NewJob::default() };
         match self
@@ -151,7 +151,7 @@ async fn a_paused_worker_that_lost_its_lease_publishes_nothing() {
     let events = bench.jobs.events_after(&tenant(), &id, 0).await.unwrap();
     assert!(events.iter().all(|event| event.kind == "state"), "nor does it tell anything: {events:?}");
 
-    // The control: the same calls with a lease that stands do change things.
+    // Negative control: the same calls with a valid lease have an effect.
     assert_eq!(second.progress(&progress).await.unwrap(), LeaseStatus::Held);
     assert_eq!(publish(&second, "from-the-second").await, LeaseStatus::Held);
     assert_eq!(bench.state(&id).await, JobState::Succeeded);
@@ -283,7 +283,7 @@ async fn a_second_checkpoint_at_a_step_does_not_damage_the_first() {
     let lease = bench.claim().await;
     lease.checkpoint(5, vec![1]).await.unwrap();
     bench.jobs.reclaim_all().await.unwrap();
-    // As a shutdown right behind it does, of a worker that was paused in between.
+    // As at a shutdown directly afterwards, by a worker that was suspended in between.
     assert_eq!(lease.checkpoint(5, vec![2]).await.unwrap(), LeaseStatus::Lost);
     let job = bench.jobs.store().job(&tenant(), &id).await.unwrap().unwrap();
     let (key, sha256) = (job.checkpoint.unwrap(), job.checkpoint_sha256.unwrap());
@@ -435,7 +435,7 @@ async fn a_shutdown_writes_a_checkpoint_and_a_restart_resumes_from_it() {
     assert_eq!((done.state, done.attempts), (JobState::Succeeded, 2));
 }
 
-/// The whole history of a job.
+/// The complete history of a job.
 async fn history(server: &testing::TestServer, id: &JobId) -> Vec<relume_client::JobEvent> {
     let mut events = Vec::new();
     server.client().wait(id, |event| events.push(event.clone())).await.unwrap();

@@ -1,4 +1,4 @@
-//! Signed URLs: good without a key, for exactly what was signed, until they end.
+//! Signed URLs: valid without a key, only for the signed resource, until they expire.
 
 use std::process::Command;
 use std::sync::Arc;
@@ -34,14 +34,14 @@ async fn post(client: &Client, path: &str, body: Value) -> (u16, Value) {
     (answer.status().as_u16(), serde_json::from_str(&answer.text().await.unwrap()).unwrap_or_default())
 }
 
-/// A signed URL; one that is good for an hour.
+/// A signed URL, valid for an hour.
 async fn signed(client: &Client, path: &str) -> String {
     let (status, signed) = post(client, "/v1/signed-urls", json!({ "path": path })).await;
     assert_eq!(status, 200, "{signed}");
     signed["url"].as_str().unwrap().to_owned()
 }
 
-/// What a browser gets, which has no key.
+/// The answer for a browser without a key.
 async fn load(server: &TestServer, method: Method, url: &str) -> (u16, Vec<u8>) {
     let answer = server.client().request(method, url).unwrap().send().await.unwrap();
     (answer.status().as_u16(), answer.bytes().await.unwrap().to_vec())
@@ -51,7 +51,7 @@ async fn status(server: &TestServer, url: &str) -> u16 {
     load(server, Method::GET, url).await.0
 }
 
-/// A server with the operator's key, and a job that made a model.
+/// A server with the operator's key, and a job with a model.
 async fn with_model() -> (TestServer, Arc<ManualClock>, Client, JobView) {
     let clock = Arc::new(ManualClock::default());
     let server = start(TempDir::new().unwrap(), &[OPERATOR], &clock).await;
@@ -133,7 +133,7 @@ async fn rotating_the_secret_ends_streams_of_signed_urls_only() {
     assert!(told.contains("cancelled"), "the other hears the end: {told}");
 }
 
-/// Ends all signed URLs, as the operator does.
+/// Invalidates all signed URLs, as an operator does.
 fn end_signed_urls(server: &TestServer) {
     let mut end = Command::new(env!("CARGO_BIN_EXE_relume"));
     let ended = end.args(["keys", "end-signed-urls", "--data-dir"]).arg(server.data_dir()).status().unwrap();
@@ -196,7 +196,7 @@ async fn invalid_paths_and_lifetimes_cannot_be_signed() {
         let (status, refused) = post(&client, "/v1/signed-urls", body).await;
         assert_eq!((status, &refused["errors"][0]["pointer"]), (422, &json!(pointer)), "{refused}");
     }
-    // What may not read may not sign.
+    // A key without the scope `read` cannot sign.
     let key = json!({ "name": "x", "scopes": ["render", "submit", "admin"] });
     let blind = post(&client, "/v1/keys", key).await.1["secret"].as_str().unwrap().to_owned();
     assert_eq!(post(&bearer(&server, &blind), "/v1/signed-urls", json!({ "path": good })).await.0, 403);
@@ -257,7 +257,7 @@ async fn removing_a_configured_key_invalidates_its_signed_urls() {
     let (server, clock, client, job) = with_model().await;
     let url = signed(&client, &format!("/v1/models/{}/files/model.ply", job.model.unwrap())).await;
     let data = server.stop().await.unwrap();
-    // Another key has its number now.
+    // Another key now has its number.
     let server = start(data, &["another-key-of-the-operator"], &clock).await;
     assert_eq!(status(&server, &url).await, 403);
     let server = start(server.stop().await.unwrap(), &[OPERATOR], &clock).await;

@@ -1,4 +1,4 @@
-//! What the tests of the service share: small valid inputs made in code.
+//! Shared code of the tests of the service: small valid inputs that are generated.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -27,8 +27,8 @@ pub async fn open_store(data: &Path) -> Store {
     Store::open_with(data, database_of(data).await.unwrap().as_ref()).await.unwrap()
 }
 
-/// The database of a data directory, past the store: what a test looks at it with, or damages it. Statements have `$1`; what comes
-/// back are numbers and text.
+/// Direct access to the database of a data directory, for checks and for damage. Statements use `$1`; results
+/// are numbers and text.
 pub async fn raw_pool(data: &Path) -> AnyPool {
     sqlx::any::install_default_drivers();
     let url = match std::env::var("RELUME_TEST_POSTGRES") {
@@ -42,18 +42,18 @@ pub async fn raw_pool(data: &Path) -> AnyPool {
     AnyPool::connect(&url).await.unwrap()
 }
 
-/// Every scope that a key of a tenant other than the operator's may have.
+/// Every scope that is permitted for keys of tenants other than the operator's.
 pub const ALL_OF_A_TENANT: [Scope; 5] =
     [Scope::Read, Scope::Render, Scope::Submit, Scope::Admin, Scope::Priority];
 
-/// A capture archive under construction: NeRF-synthetic, a ball before nothing.
+/// A capture archive under construction: NeRF-synthetic, a ball on a transparent background.
 pub struct CaptureZip {
     pub transforms: Value,
     pub images: Vec<(String, Vec<u8>)>,
 }
 
 impl CaptureZip {
-    /// `count` photographs of `size` x `size` pixels from all around.
+    /// `count` photographs of `size` x `size` pixels, all around the ball.
     pub fn new(count: usize, size: u32) -> Self {
         let mut frames = Vec::new();
         let mut images = Vec::new();
@@ -87,12 +87,12 @@ pub fn zip_of(entries: &[(String, Vec<u8>)]) -> Vec<u8> {
     writer.finish().unwrap().into_inner()
 }
 
-/// A small good capture.
+/// A small valid capture.
 pub fn capture_zip() -> Vec<u8> {
     CaptureZip::new(8, 32).zip()
 }
 
-/// The unit-radius-0.8 ball, lit from above, straight alpha.
+/// A ball of radius 0.8, lit from above, straight alpha.
 fn photograph(camera: &Camera) -> Vec<u8> {
     let pixel = |x, y| {
         let (o, d) = (camera.centre(), camera.ray(x, y));
@@ -148,12 +148,13 @@ pub async fn trained(client: &Client) -> JobView {
     job
 }
 
-/// Every file under a folder, by relative path, with its size; the database's own files and the lock left out.
+/// Every file under a folder, by relative path, with its size, without the files of the database and the
+/// lock.
 pub fn files_under(root: &std::path::Path) -> Vec<(String, u64)> {
     let mut found = Vec::new();
     let mut folders = vec![root.to_owned()];
     while let Some(folder) = folders.pop() {
-        // What a living server takes away while this looks is not there.
+        // A file that a running server removes in between is skipped.
         for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
             let path = entry.path();
             let name = path.strip_prefix(root).unwrap().display().to_string();

@@ -1,4 +1,4 @@
-//! Thumbnails that were rendered before: kept within a bound, never served to others, never served when damaged.
+//! Cached thumbnails: within the size limit, never served to other tenants, never served when damaged.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -15,7 +15,7 @@ use tempfile::TempDir;
 
 use crate::service_support::{ALL_OF_A_TENANT, files_under, trained};
 
-/// What a disk stores of the smallest file.
+/// Size on disk of the smallest file.
 const BLOCK: u64 = 4096;
 
 /// An answered thumbnail.
@@ -23,7 +23,7 @@ const BLOCK: u64 = 4096;
 struct Answer {
     was_rendered: bool,
     bytes: Vec<u8>,
-    /// Tag, type and who may keep it.
+    /// The headers for tag, type and caching.
     headers: Vec<String>,
 }
 
@@ -34,7 +34,7 @@ async fn get(client: &Client, model: &ModelId, query: &str) -> Answer {
     let headers = answer.headers().clone();
     let named = [header::ETAG, header::CONTENT_TYPE, header::CACHE_CONTROL];
     Answer {
-        // What was rendered says how long that took.
+        // A rendered answer states its rendering time.
         was_rendered: headers.contains_key("server-timing"),
         bytes: answer.bytes().await.unwrap().to_vec(),
         headers: named.iter().map(|name| headers[name].to_str().unwrap().to_owned()).collect(),
@@ -107,7 +107,7 @@ async fn a_cached_thumbnail_survives_a_restart() {
     let out = TempDir::new().unwrap();
     store::backup(data.path(), None, out.path(), 0).await.unwrap();
     assert!(cached(data.path()).len() > 3 && cached(out.path()).is_empty(), "a backup leaves it out");
-    // One is taken away.
+    // One cached file is removed.
     let digest = first[3].headers[0].trim_matches('"');
     let kept = cached(data.path());
     let gone = kept.iter().find(|file| file.to_str().unwrap().ends_with(digest));
@@ -162,7 +162,7 @@ async fn cached_thumbnails_are_per_tenant_and_deleted_with_the_model() {
     };
     assert_eq!((status(&one).await, status(&other).await), (200, 404));
     assert_eq!(status(server.client()).await, 401);
-    // The same content, trained to the same bytes by somebody else.
+    // The same content, trained to the same bytes by another tenant.
     let theirs = trained(&other).await.model.unwrap();
     assert!(get(&other, &theirs, "").await.was_rendered, "nobody learns what others looked at");
     assert_eq!(cached(server.data_dir()).len(), 2);
@@ -177,7 +177,7 @@ async fn cached_thumbnails_are_per_tenant_and_deleted_with_the_model() {
     }
     assert!(!get(&other, &theirs, "").await.was_rendered, "those of another model stay");
 
-    // A server that died after it had swept the model and before its thumbnails.
+    // The state after a kill between the removal of the model and that of its thumbnails.
     let data = server.stop().await.unwrap();
     let left = cached(data.path());
     let name = left[0].file_name().unwrap().to_str().unwrap().replace(theirs.as_str(), model.as_str());

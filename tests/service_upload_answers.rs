@@ -1,4 +1,4 @@
-//! What is said to uploads and of them: what a capture is to be called, queries, lists.
+//! Answers about uploads: metadata of captures, queries, lists.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use tempfile::TempDir;
 use crate::service_support::capture_zip;
 use crate::service_uploads::{artifacts, offset, refusal, send, tus};
 
-/// Makes a capture of an upload, called as the query says.
+/// Makes a capture of an upload, with the metadata in the query.
 async fn capture_called(client: &Client, id: &UploadId, query: &str) -> (u16, Value) {
     let request = client.request(Method::POST, &format!("/v1/captures?{query}")).unwrap();
     let answer = send(request.json(&json!({ "upload": id }))).await;
@@ -36,7 +36,7 @@ async fn an_upload_is_kept_when_its_metadata_is_refused() {
     let first: Vec<String> = (0..16).map(|n| format!("k{n}:v")).collect();
     let (status, made) = capture_called(client, &begin().await, &format!("labels={}", first.join(","))).await;
     assert_eq!((status, made["labels"].as_object().unwrap().len()), (201, 16), "{made}");
-    // The same content again, with one label more than a thing may have.
+    // The same content again, with one label more than permitted.
     let again = begin().await;
     let (status, refused) = capture_called(client, &again, "labels=another:v").await;
     assert_eq!((status, &refused["errors"][0]["pointer"]), (422, &json!("query/labels")), "{refused}");

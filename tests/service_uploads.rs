@@ -1,4 +1,4 @@
-//! Uploads that arrive in pieces (tus 1.0.0): cut anywhere, killed, expired, of several tenants, at once.
+//! Resumable uploads (tus 1.0.0): interrupted, killed, expired, of several tenants, concurrent.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -46,7 +46,7 @@ fn told(answer: &Response, name: &str) -> String {
     answer.headers().get(name).map(|v| v.to_str().unwrap().to_owned()).unwrap_or_default()
 }
 
-/// The status and kind of a refusal.
+/// Status and problem type of a refusal.
 pub fn refusal<T: std::fmt::Debug>(answer: Result<T, ClientError>) -> (u16, String) {
     let error = answer.expect_err("it is refused");
     let problem = error.problem().unwrap_or_else(|| panic!("{error}"));
@@ -56,14 +56,14 @@ pub fn refusal<T: std::fmt::Debug>(answer: Result<T, ClientError>) -> (u16, Stri
 pub async fn offset(client: &Client, id: &UploadId) -> u64 {
     loop {
         match client.upload(id).await {
-            // The client took a connection that the server had closed after a refusal.
+            // The client used a connection that the server had closed after a refusal.
             Err(ClientError::Transport(error)) if error.is_request() => {}
             found => return found.unwrap().offset,
         }
     }
 }
 
-/// Sends a piece whose connection breaks at its end.
+/// Sends a chunk whose connection breaks at its end.
 async fn cut(client: &Client, id: &UploadId, offset: u64, piece: &[u8]) {
     let broken = Err(std::io::Error::other("cut"));
     let pieces: Vec<_> = piece.chunks(9_999).map(|c| Ok(c.to_vec())).chain([broken]).collect();
@@ -91,9 +91,9 @@ async fn an_upload_interrupted_anywhere_resumes_to_the_same_capture() {
             cuts += 1;
         } else {
             match client.send_piece(&id, at as u64, archive[at..end].to_vec()).await {
-                // The second: the client took a connection that the server had closed after a refusal.
+                // The second case: the client used a connection that the server had closed after a refusal.
                 Ok(_) | Err(ClientError::Transport(_)) => {}
-                // The server has not noticed yet that the connection before broke.
+                // The server has not noticed yet that the previous connection broke.
                 Err(error) => assert!([409, 423].contains(&refusal::<()>(Err(error)).0)),
             }
         }
@@ -274,7 +274,7 @@ async fn an_upload_of_an_invalid_capture_is_kept_until_it_expires() {
     assert_eq!(refusal(client.upload(&id).await), (410, "upload-expired".to_owned()));
     assert_eq!(refusal(client.send_piece(&id, 9, "").await).0, 410);
     assert_eq!(refusal(client.capture_of_upload(&id).await).0, 422);
-    // A deletion wakes who sweeps.
+    // A deletion wakes the garbage collector.
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap().id;
     client.delete_capture(&capture, false).await.unwrap();
     while !artifacts(&server).is_empty() {
@@ -286,7 +286,7 @@ async fn an_upload_of_an_invalid_capture_is_kept_until_it_expires() {
 
 const OPERATOR: &str = "the-operators-own-key";
 
-/// A client with a fresh key of a tenant.
+/// A client with a new key of a tenant.
 async fn of_tenant(server: &TestServer, tenant: &str) -> Client {
     let base = server.client().base().as_str();
     let operator = Client::new(base, Some(OPERATOR.to_owned())).unwrap();
@@ -331,11 +331,11 @@ async fn resumable_uploads_are_private_and_count_towards_the_quota() {
     assert!(usage.uploads.count == 2 && (length..=most).contains(&usage.uploads.bytes), "{usage:?}");
     assert_eq!(refusal(a.upload_capture_bytes(archive.clone()).await).0, 507, "other uploads meet it, too");
 
-    // A capture takes the place of its upload.
+    // A capture replaces its upload.
     let capture = a.capture_of_upload(&first).await.unwrap();
     let usage = a.usage().await.unwrap();
     assert_eq!((usage.captures.bytes, usage.uploads.count), (length, 1));
-    // The same content again: the one that is there, whatever the quota.
+    // The same content again: the server returns the existing capture, independent of the quota.
     a.delete_capture(&capture.id, false).await.unwrap();
     let at = offset(&a, &second).await;
     let rest = archive[usize::try_from(at).unwrap()..].to_vec();
@@ -375,7 +375,7 @@ async fn concurrent_requests_make_one_capture_of_an_upload() {
     let id = client.begin_upload(archive.len() as u64).await.unwrap();
     let capture = format!("captures/{}", hex(&Sha256::digest(&archive)));
     client.send_piece(&id, 0, archive).await.unwrap();
-    // What an earlier attempt left whose transaction failed.
+    // The file that an earlier attempt left when its transaction failed.
     let stored = server.data_dir().join("artifacts");
     std::fs::create_dir_all(stored.join("captures")).unwrap();
     std::fs::hard_link(stored.join(format!("uploads/{id}")), stored.join(&capture)).unwrap();
@@ -409,7 +409,7 @@ async fn startup_restores_upload_offsets_and_backups_omit_uploads() {
     let found = store::inspect(&data).await.unwrap();
     assert!(found.faults.len() == 1 && found.faults[0].contains("is missing"), "{found:?}");
     assert_eq!(found.orphans.len(), 1, "{found:?}");
-    // More than was written down.
+    // More bytes than are recorded.
     std::fs::write(uploads.join(kept.as_str()), "some that no one counted").unwrap();
     let server = testing::spawn_with(dir, |_| {}).await.unwrap();
     assert_eq!(offset(server.client(), &kept).await, 4);

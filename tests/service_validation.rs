@@ -1,4 +1,4 @@
-//! Captures that are validated after they were answered (RFC 7240, `Prefer: respond-async`).
+//! Captures that are validated after the answer (RFC 7240, `Prefer: respond-async`).
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
@@ -26,7 +26,7 @@ use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_
 fn slow_zip() -> Vec<u8> {
     let capture = CaptureZip::new(4, 32);
     let large = encode_png(5000, 5000, &vec![[90, 60, 30, 255]; 25_000_000]).unwrap();
-    // Stored as they are: what shrinks so much is refused as a bomb.
+    // Stored uncompressed: a file with such a compression ratio is refused as a bomb.
     let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     let transforms = serde_json::to_vec(&capture.transforms).unwrap();
@@ -42,14 +42,14 @@ async fn post_later(client: &Client, archive: Vec<u8>) -> Response {
     post_called(client, "", archive).await
 }
 
-/// As [`post_later`], with a query that says what the capture is called.
+/// As [`post_later`], with the metadata of the capture in a query.
 async fn post_called(client: &Client, query: &str, archive: Vec<u8>) -> Response {
     let request = client.request(Method::POST, &format!("/v1/captures{query}")).unwrap();
     let request = request.header("content-type", "application/zip").header("prefer", "respond-async");
     request.body(archive).send().await.unwrap()
 }
 
-/// What a 202 says.
+/// The capture in a 202 answer.
 async fn accepted(answer: Response) -> CaptureSummary {
     let told = |name: &str| answer.headers()[name].to_str().unwrap().to_owned();
     assert_eq!((answer.status().as_u16(), told("preference-applied").as_str()), (202, "respond-async"));
@@ -91,7 +91,7 @@ async fn an_asynchronous_capture_reports_its_validation_state() {
     assert_eq!((ready.state, photographs), (CaptureState::Ready, 4), "{:?}", ready.problem);
     assert_eq!(ready.id, begun.id);
     assert_eq!(client.captures().await.unwrap().items, std::slice::from_ref(&ready));
-    // The bytes of the repetition go once it is found to be one.
+    // The bytes of a repetition are removed when it is detected.
     let kept = [format!("artifacts/captures/{}", ready.sha256)];
     let stored =
         || -> Vec<String> { files_under(server.data_dir()).into_iter().map(|(name, _)| name).collect() };
@@ -144,7 +144,7 @@ async fn an_invalid_asynchronous_capture_keeps_its_upload() {
     assert_eq!(client.capture(&begun.id).await.unwrap_err().problem().unwrap().status, 404);
     assert!(files_under(server.data_dir()).is_empty());
 
-    // Of an upload in pieces, too.
+    // The same for a resumable upload.
     let archive = capture_zip();
     let id = client.begin_upload(archive.len() as u64).await.unwrap();
     client.send_piece(&id, 0, archive).await.unwrap();
@@ -168,7 +168,7 @@ async fn kill_9_during_validation_loses_nothing() {
     }
     let ready = validated(&server.client, &begun).await;
     assert_eq!((ready.state, &ready.sha256), (CaptureState::Ready, &begun.sha256));
-    // The bytes of the upload go a moment after the capture is ready.
+    // The bytes of the upload are removed shortly after the capture is ready.
     let stored = || files_under(&data.path().join("artifacts"));
     for _ in 0..200 {
         if stored().len() == 1 {
@@ -191,7 +191,7 @@ async fn metadata_changed_during_validation_is_kept() {
     let query = "?name=Lion&external_id=asset-7&labels=show:alpha,take:1";
     let begun = accepted(post_called(&server.client, query, archive.clone()).await).await;
     assert_eq!((begun.metadata.name.as_deref(), begun.metadata.labels.len()), (Some("Lion"), 2));
-    // While it is validating; what is not said stays, also with the server's death.
+    // During the validation; omitted fields are unchanged, even if the server is killed.
     let called = change(json!({ "name": "Lion head", "labels": { "take": null, "keep": "true" } }));
     let changed = server.client.change_capture(&begun.id, &called).await.unwrap();
     let labels = [("keep", "true"), ("show", "alpha")].map(|(k, v)| (k.to_owned(), v.to_owned()));
@@ -228,7 +228,7 @@ async fn an_asynchronous_capture_of_an_upload_keeps_its_metadata() {
     let begun = accepted(answer).await;
     let ready = validated(client, &begun).await;
     assert_eq!((ready.state, ready.metadata.name.as_deref()), (CaptureState::Ready, Some("Lion")));
-    // What is invalid is called something, too, for as long as it is known.
+    // An invalid capture has metadata as well, while it exists.
     let begun = accepted(post_called(client, "?name=broken", b"no archive".to_vec()).await).await;
     let found = validated(client, &begun).await;
     assert_eq!((found.state, found.metadata.name.as_deref()), (CaptureState::Invalid, Some("broken")));

@@ -1,4 +1,4 @@
-//! Streams for viewers: cached by their tags, the same Gaussians in both, signed, and bounded in memory.
+//! Streams for viewers: caching by tags, equal numbers of Gaussians in both, signed URLs, and bounded memory.
 
 use relume::server::ApiKeys;
 use relume::testing;

@@ -1,4 +1,4 @@
-//! The web app: its files, their headers, and what it must not change about the API.
+//! The web app: its files and their headers, and the unchanged headers of the API.
 
 use std::io::Read;
 
@@ -55,7 +55,7 @@ async fn content_security_policy_allows_only_the_pages_own_files() {
     for inline in ["<style", "style=", "onload=", "onclick=", "<script>"] {
         assert!(!html.contains(inline), "{inline} in {html}");
     }
-    // The policy of what is no page stays as strict as it was.
+    // The content security policy of other answers remains strict.
     let api = get(&server, "/v1/models").await;
     assert_eq!(
         header_of(&api, header::CONTENT_SECURITY_POLICY),

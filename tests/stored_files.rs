@@ -12,14 +12,14 @@ use serde_json::json;
 
 use crate::service_support::{capture_zip, ended, files_under, small_job, trained, until};
 
-/// The stored file whose name ends so.
+/// The stored file whose name ends with `end`.
 fn artifact(data: &Path, end: &str) -> PathBuf {
     let files = files_under(data);
     let (name, _) = files.iter().find(|(name, _)| name.ends_with(end)).unwrap_or_else(|| panic!("{files:?}"));
     data.join(name)
 }
 
-/// Flips the last 200 bytes of a file and returns what it was.
+/// Flips the last 200 bytes of a file and returns its original content.
 fn damage(path: &Path) -> Vec<u8> {
     let sound = std::fs::read(path).unwrap();
     let mut bytes = sound.clone();
@@ -146,22 +146,23 @@ async fn startup_cleanup_moves_aside_only_orphaned_files() {
         std::fs::create_dir_all(root.join(key).parent().unwrap()).unwrap();
         std::fs::write(root.join(key), "left over").unwrap();
     };
-    // Of a job that is known: what kill -9 leaves while a model is published or a checkpoint written.
+    // Files of a known job that a kill leaves during the publication of a model or the write of a checkpoint.
     write(&format!("attempts/{job}/9/model.safetensors"));
     write(&format!("attempts/{job}/9/checkpoint-00000010.safetensors#1"));
-    // Of nothing that is known.
+    // Files that belong to no known resource.
     let (unknown, other) = (format!("captures/{}", "a".repeat(64)), "attempts/some-job/1/model.ply");
     write(&unknown);
     write(other);
-    // Of nothing that is known, and set aside before as another name of the same file.
+    // A file that belongs to no known resource and was already moved to the orphans folder, as a link to the
+    // same file.
     let twice = format!("captures/{}", "c".repeat(64));
     write(&twice);
     std::fs::create_dir_all(root.join("orphans/captures")).unwrap();
     std::fs::hard_link(root.join(&twice), root.join("orphans").join(&twice)).unwrap();
-    // Not named by this program.
+    // Names that this program does not create.
     write("captures/notes.txt");
     write("readme");
-    // Set aside eight days ago.
+    // Moved to the orphans folder eight days ago.
     write("orphans/captures/old");
     let long_ago = SystemTime::now() - Duration::from_secs(8 * 24 * 3600);
     let old = std::fs::File::options().write(true).open(root.join("orphans/captures/old")).unwrap();

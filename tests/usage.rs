@@ -1,4 +1,4 @@
-//! How much is stored, and that no more is stored than may be.
+//! Storage use, and the enforcement of storage limits.
 
 use relume::server::ServerConfig;
 use relume::testing::{self, TestServer};
@@ -25,7 +25,7 @@ async fn usage_counts_stored_bytes_by_kind() {
     assert!(empty.free_bytes > Some(0) && empty.limit_bytes.is_none());
     let job = trained(client).await;
     client.upload_capture_bytes(CaptureZip::new(9, 16).zip()).await.unwrap();
-    // Set aside, of no use.
+    // An orphan.
     std::fs::create_dir_all(server.data_dir().join("artifacts/orphans")).unwrap();
     std::fs::write(server.data_dir().join("artifacts/orphans/old"), [0; 777]).unwrap();
     let usage = client.usage().await.unwrap();
@@ -37,7 +37,7 @@ async fn usage_counts_stored_bytes_by_kind() {
     let long = client.create_job(&small_job(&job.capture, 1_000_000, 10), None).await.unwrap();
     until(client, &long.id, |job| job.progress.step > 20).await;
     let data = server.stop().await.unwrap();
-    // Nobody works on the job while its checkpoint is counted.
+    // No worker runs the job while its checkpoint is counted.
     let store = open_store(data.path()).await;
     let checkpoints = store.usage(&TenantId::of_operator(), true).await.unwrap().checkpoints;
     let files = files_under(data.path());
@@ -46,7 +46,7 @@ async fn usage_counts_stored_bytes_by_kind() {
     store.close().await;
 }
 
-/// The 507 of an answer: what it says.
+/// The detail of a 507 answer.
 fn beyond<T: std::fmt::Debug>(answer: Result<T, ClientError>) -> String {
     let error = answer.expect_err("the limit is reached");
     let problem = error.problem().unwrap_or_else(|| panic!("{error}"));
@@ -64,7 +64,7 @@ async fn over_the_disk_limit_uploads_and_jobs_answer_507() {
     let mut large = CaptureZip::new(8, 32);
     large.images.push(("noise.bin".to_owned(), noise(200_000)));
     let large = large.zip();
-    // Its length is known, or it is not: then it shows on the way.
+    // The length is declared, or it is not; then the limit is detected during the transfer.
     let said = beyond(client.upload_capture_bytes(large.clone()).await);
     assert!(said.contains(&format!("the storage limit is {limit} bytes: 0 are stored")), "{said}");
     let pieces = futures::stream::iter(
@@ -84,9 +84,9 @@ async fn over_the_disk_limit_uploads_and_jobs_answer_507() {
     let client = server.client();
     let said = beyond(client.create_job(&small_job(&capture.id, 5, 5), None).await);
     assert!(said.contains(&format!("{} are stored and 1 more", small.len())), "{said}");
-    // Who makes room goes on.
+    // After a deletion uploads are accepted again.
     client.delete_capture(&capture.id, false).await.unwrap();
-    // The file goes first, then what counts it.
+    // The file is removed before its row, which counts it.
     let mut again = client.upload_capture_bytes(small.clone()).await;
     for _ in 0..500 {
         if again.is_ok() {

@@ -1,4 +1,4 @@
-//! The server on a disk that fails when it is told to.
+//! The server on a disk with injected faults.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -34,12 +34,12 @@ impl FaultyDisk {
         Self { server, folder }
     }
 
-    /// From now on reads, writes or both fail with `errno`, or only take `delay_ms` longer each when that is 0.
+    /// From now on reads, writes or both fail with `errno`; if that is 0, each only takes `delay_ms` longer.
     pub fn fails(&self, what: &str, errno: i32, delay_ms: u32) {
         self.say(&format!("{what} {errno} {delay_ms} 0"));
     }
 
-    /// From now on a file can be read up to a byte, and not further.
+    /// From now on a file can be read only up to a byte.
     pub fn fails_behind(&self, byte: u64, errno: i32) {
         self.say(&format!("read {errno} 0 {byte}"));
     }
@@ -50,12 +50,13 @@ impl FaultyDisk {
         std::fs::rename(next, self.folder.path().join("fault")).unwrap();
     }
 
-    /// The disk is sound again.
+    /// Ends the faults.
     pub fn mends(&self) {
         std::fs::remove_file(self.folder.path().join("fault")).unwrap();
     }
 
-    /// Stops the server and starts it once more without faults: what it left is whole, and it panicked at nothing.
+    /// Stops the server and starts it again without faults. The data must be intact, and the server must not
+    /// have panicked.
     pub async fn ends_sound(mut self) {
         std::fs::remove_file(self.folder.path().join("fault")).ok();
         let terminated = Command::new("kill").arg(self.server.child.id().to_string()).status().unwrap();

@@ -1,5 +1,5 @@
-//! A disk that fails, takes no writes or is slow: every request is answered with what is wrong, nothing half-written is published,
-//! and the server goes on once the disk does.
+//! A disk that fails, refuses writes or is slow: every request gets an answer with the reason, nothing
+//! incomplete is published, and the server continues when the disk works again.
 
 mod disk;
 
@@ -23,7 +23,7 @@ fn map() -> Vec<u8> {
     bytes
 }
 
-/// Holds a refusal to what errors.md says of a disk that fails.
+/// Checks that a problem is the one that errors.md documents for a disk failure.
 fn is_clear(problem: &Problem) {
     let kind = problem.kind.strip_prefix("urn:relume:problem:").unwrap();
     let documented = include_str!("../../docs/errors.md").contains(&format!("`{kind}` | {}", problem.status));
@@ -68,7 +68,7 @@ async fn failed_writes_answer_with_a_problem_and_publish_nothing() {
         refused(client.begin_upload(100).await);
         refused(client.send_piece(&upload, 0, another(1)[..50].to_vec()).await);
         assert_eq!(client.upload(&upload).await.unwrap().offset, 0, "nothing of it counts");
-        // Training goes on without checkpoints, and its model cannot be kept.
+        // The training continues without checkpoints, and its model cannot be stored.
         let job = client.create_job(&small_job(&capture.id, 12, 5), None).await.unwrap();
         let job = ended(client, &job.id).await;
         assert_eq!((job.state, code(&job)), (JobState::Failed, Some("storage_failed")));
@@ -105,7 +105,7 @@ async fn temporary_write_failures_cost_only_checkpoints() {
     disk.ends_sound().await;
 }
 
-/// What is asked of a model's files.
+/// Requests that read a model's files.
 async fn reads(client: &Client, model: &ModelId) -> Vec<Result<(), ClientError>> {
     let camera = serde_json::json!({ "look_at": { "eye": [3, 0, 1], "target": [0, 0, 0], "fov_y_deg": 40 } });
     let body = serde_json::json!({ "camera": camera, "width": 16, "height": 16 });
@@ -134,12 +134,13 @@ async fn failed_reads_answer_with_a_problem_and_not_truncated_data() {
     let client = &disk.server.client;
     let job = trained(client).await;
     let model = job.model.unwrap();
-    // Nothing is in memory yet.
+    // The cache is still empty.
     disk.fails("read", EIO, 0);
     for answer in reads(client, &model).await {
         refused(answer);
     }
-    // What is uploaded is read again before it is kept: that is not called a damaged archive, wherever the disk fails.
+    // The server reads an upload again before it stores the capture. A disk failure at any byte is not
+    // reported as a damaged archive.
     for byte in [0, 1] {
         disk.fails_behind(byte, EIO);
         for archive in [another(3), tar(&blender()), gzip(&tar(&blender()))] {
@@ -152,13 +153,14 @@ async fn failed_reads_answer_with_a_problem_and_not_truncated_data() {
     refused(client.capture_cameras(&job.capture, CameraConvention::Opengl).await);
     let failed = client.create_job(&small_job(&job.capture, 5, 5), None).await.unwrap();
     let failed = ended(client, &failed.id).await;
-    // The capture is known to be sound: it is the import that meets the fault.
+    // The hash of the capture is already verified, so the fault occurs in the import.
     assert_eq!((failed.state, code(&failed)), (JobState::Failed, Some("capture_io")));
     disk.mends();
     for answer in reads(client, &model).await {
         answer.unwrap();
     }
-    // It is known to be sound by now: the fault meets an answer under way, which is cut and not taken for whole.
+    // The hash of the file is already verified, so the fault occurs while the answer is sent. The client must
+    // detect the truncated answer.
     disk.fails("read", EIO, 0);
     let cut = client.file(&model, "model.safetensors").await;
     assert!(cut.is_err(), "an answer that cannot be read is taken for whole");

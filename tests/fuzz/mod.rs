@@ -1,4 +1,4 @@
-//! Bytes of users, made wrong in every way: no reader panics. `RELUME_FUZZ_CASES` says how many cases each reader gets.
+//! Mutated user files: no reader panics. `RELUME_FUZZ_CASES` is the number of cases per reader.
 
 mod mutate;
 mod seeds;
@@ -25,7 +25,7 @@ use tempfile::NamedTempFile;
 use mutate::mutated;
 use relume_fixtures::small_set::{Files, gzip, tar, zip};
 
-/// Cases of each reader in a usual run.
+/// Default number of cases per reader.
 const CASES: u32 = 500;
 const SEED: u64 = 4;
 
@@ -33,7 +33,7 @@ fn cases() -> u64 {
     cases_or(CASES).into()
 }
 
-/// Gives `read` cases made of `seeds`; where it panics, says which case and where its bytes are.
+/// Calls `read` with cases made from `seeds`. If it panics, reports the case and the path of its bytes.
 fn fuzz(name: &str, seeds: &[Vec<u8>], read: impl Fn(&[u8])) {
     for seed in seeds {
         read(seed);
@@ -83,7 +83,7 @@ fn mutated_environments_cause_no_panic() {
     fuzz("environments", &seeds::environments(), |bytes| {
         let _ = exr_image::dimensions(bytes);
         let _ = exr_image::decoded_bytes(bytes);
-        // As the server does: what would take too much memory is not decoded.
+        // As in the server, files that would take too much memory are not decoded.
         if environment::decoding_bytes(bytes).is_ok_and(|count| count < 1 << 24) {
             let _ = environment::decode(bytes);
         }
@@ -126,7 +126,7 @@ fn mutated_json_bodies_cause_no_panic() {
     });
 }
 
-/// Reads an archive in every way in which the server reads one.
+/// Reads an archive in all ways that the server uses.
 fn read_archive(bytes: &[u8]) {
     let file = NamedTempFile::new().unwrap();
     std::fs::write(file.path(), bytes).unwrap();
@@ -162,7 +162,7 @@ fn mutated_files_in_valid_archives_cause_no_panic() {
         let mut files = captures[random.random_range(0..captures.len())].clone();
         let all: Vec<Vec<u8>> = files.values().cloned().collect();
         for _ in 0..random.random_range(1..=2) {
-            // Pictures have a test of their own: mostly what says where cameras are.
+            // Mostly pose files are mutated; images have a separate test.
             let pictures = random.random_bool(0.2);
             let names: Vec<String> =
                 files.keys().filter(|name| name.ends_with(".png") == pictures).cloned().collect();
@@ -179,7 +179,7 @@ fn mutated_files_in_valid_archives_cause_no_panic() {
 async fn mutated_json_bodies_answer_4xx_and_never_5xx() {
     let server = relume::testing::spawn().await.unwrap();
     let seeds = seeds::bodies();
-    // Each of these costs a request.
+    // Each of these cases is a request.
     for case in 0..cases().div_ceil(5) {
         let mut random = ChaCha8Rng::seed_from_u64(SEED);
         random.set_stream(case);

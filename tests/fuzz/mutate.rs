@@ -1,9 +1,10 @@
-//! Valid bytes made wrong, from a seed: flips, cuts, splices, repetitions, extreme numbers, and sums that fit again.
+//! Seeded mutations of valid bytes: flips, cuts, splices, repetitions, extreme numbers, and corrected
+//! checksums.
 
 use rand::{Rng, RngExt};
 use rand_chacha::ChaCha8Rng;
 
-/// Texts at which readers of numbers go wrong.
+/// Texts that are difficult for number parsers.
 const TEXTS: [&str; 14] = [
     "0",
     "-1",
@@ -21,7 +22,7 @@ const TEXTS: [&str; 14] = [
     "\"",
 ];
 
-/// One to six changes of `bytes`; `others` are what may be spliced in.
+/// One to six changes of `bytes`; parts of `others` may be inserted.
 pub fn mutated(bytes: &[u8], others: &[Vec<u8>], random: &mut ChaCha8Rng) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for _ in 0..random.random_range(1..=6) {
@@ -34,7 +35,7 @@ pub fn mutated(bytes: &[u8], others: &[Vec<u8>], random: &mut ChaCha8Rng) -> Vec
 }
 
 fn change(bytes: &mut Vec<u8>, others: &[Vec<u8>], random: &mut ChaCha8Rng) {
-    // Headers decide most: half of the changes are near the beginning.
+    // Headers have the greatest effect, so half of the changes are near the beginning.
     let length = bytes.len();
     let near = if random.random_bool(0.5) { length.min(200) } else { length };
     let at = random.random_range(0..=near);
@@ -67,7 +68,7 @@ fn change(bytes: &mut Vec<u8>, others: &[Vec<u8>], random: &mut ChaCha8Rng) {
     }
 }
 
-/// An integer or float at which something ends, of 1 to 8 bytes in either order.
+/// An extreme integer or float of 1 to 8 bytes, in either byte order.
 fn extreme(random: &mut ChaCha8Rng) -> Vec<u8> {
     let wide = [
         0,
@@ -105,7 +106,7 @@ fn put(bytes: &mut [u8], at: usize, what: &[u8]) {
     }
 }
 
-/// Puts a text in place of the next number, if there is one; noise otherwise.
+/// Replaces the next number by a text; without a number, writes noise.
 fn text(bytes: &mut Vec<u8>, at: usize, random: &mut ChaCha8Rng) {
     let is_number = |byte: &u8| byte.is_ascii_digit() || matches!(byte, b'.' | b'-');
     let Some(begin) = bytes[at..].iter().take(400).position(is_number).map(|offset| at + offset) else {
@@ -118,7 +119,7 @@ fn text(bytes: &mut Vec<u8>, at: usize, random: &mut ChaCha8Rng) {
     bytes.splice(begin..begin + length, text.bytes());
 }
 
-/// Makes the sums of a PNG's chunks right again, as far as the chunks can be told.
+/// Corrects the checksums of a PNG's chunks, as far as the chunks can be parsed.
 fn mend_png(bytes: &mut [u8]) {
     let mut at = 8;
     while let Some(head) = bytes.get(at..at + 4).and_then(|head| head.first_chunk::<4>()) {

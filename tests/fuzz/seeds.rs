@@ -56,7 +56,8 @@ pub fn clouds() -> Vec<Vec<u8>> {
     vec![text.as_bytes().to_vec(), binary, ply_model::encode(&model::model(2, 7))]
 }
 
-/// Captures in every layout, as files: an archive of some kinds has sums, which changed files would not pass.
+/// Captures in every layout, as files, because some archive formats have checksums that changed files would
+/// not match.
 pub fn captures() -> Vec<Files> {
     let mut hidden = blender();
     hidden.insert("light_rotations.json".to_owned(), b"{\"train/r_0\": 10.0}".to_vec());

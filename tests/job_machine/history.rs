@@ -1,4 +1,4 @@
-//! One history: the same operations on the queue and on the model, and what is compared after each.
+//! One history: the same operations on the queue and on the model, with a comparison after each.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -22,7 +22,7 @@ use tempfile::TempDir;
 use super::model::{Answer, Claim, Event, Job, LEASE_MS, MOST_IDLE, Model, Submission, TOTAL, Wrong};
 use crate::service_support::{files_under, on_postgres, open_store, raw_pool};
 
-/// Operations of a history.
+/// Number of operations of a history.
 const STEPS: usize = 12;
 const WORKERS: usize = 3;
 
@@ -31,14 +31,14 @@ pub struct Bench {
     store: Store,
     clock: Arc<ManualClock>,
     ids: Arc<SequentialIds>,
-    /// What the test itself looks at the database with.
+    /// The test's own connections to the database.
     pool: AnyPool,
-    /// Number of the last event that was compared.
+    /// Number of the last compared event.
     last_event: i64,
     dir: TempDir,
 }
 
-/// A row of the table of jobs.
+/// A row of the jobs table.
 #[derive(sqlx::FromRow)]
 struct Row {
     id: String,
@@ -60,21 +60,21 @@ struct History<'a> {
     model: Model,
     /// Identifiers of the model's jobs.
     ids: Vec<JobId>,
-    /// What each worker holds, or once held.
+    /// The current or last lease of each worker.
     workers: [Option<(Lease, Claim)>; WORKERS],
     random: ChaCha8Rng,
-    /// What was done, for people.
+    /// The operations so far, for the failure message.
     log: Vec<String>,
-    /// How each job ended, once it has.
+    /// The final state of each job that has ended.
     ends: Vec<Option<JobState>>,
 }
 
-/// Whose everything is.
+/// The tenant of all resources.
 fn tenant() -> TenantId {
     TenantId::of_operator()
 }
 
-/// Says what differs.
+/// An error that names the difference, if the values differ.
 fn same<T: PartialEq + std::fmt::Debug>(what: &str, found: T, expected: T) -> Result<(), String> {
     if found == expected {
         return Ok(());
@@ -88,7 +88,7 @@ fn failed(error: impl std::fmt::Display) -> String {
 
 impl Bench {
     pub async fn new() -> Self {
-        // In memory where that can be had: what a disk does is asked by other tests.
+        // In memory if possible; other tests cover the disk.
         let dir = TempDir::new_in("/dev/shm").or_else(|_| TempDir::new()).unwrap();
         let store = open_store(dir.path()).await;
         let capture = CaptureRecord {
@@ -114,7 +114,7 @@ impl Bench {
         Jobs::new(self.store.clone(), self.clock.clone(), self.ids.clone(), policy)
     }
 
-    /// Runs one history; the error says what differed after which operations.
+    /// Runs one history. The error names the difference and the operations before it.
     pub async fn history(&mut self, seed: u64, wrong: Option<Wrong>) -> Result<(), String> {
         let jobs = self.queue();
         let model = Model::new(wrong, jobs.now_ms());
@@ -128,7 +128,7 @@ impl Bench {
         told
     }
 
-    /// Takes everything away but the capture.
+    /// Deletes everything except the capture.
     async fn forget(&self) {
         let all = "DELETE FROM events; DELETE FROM model_files; DELETE FROM models; DELETE FROM jobs;
                    DELETE FROM idempotency;";
@@ -212,7 +212,7 @@ impl History<'_> {
         Ok(())
     }
 
-    /// Lets a worker do something with what it holds, or once held.
+    /// Performs an operation of a worker with its current or last lease.
     async fn work(&mut self) -> Result<(), String> {
         let worker = self.random.random_range(0..WORKERS);
         let Some((lease, claim)) = &self.workers[worker] else { return Ok(()) };
@@ -237,7 +237,7 @@ impl History<'_> {
                 (lease.progress(&progress).await, model.progress(claim, step))
             }
             1 => (lease.checkpoint(step, vec![1; 9]).await, model.checkpoint(claim, step)),
-            // As a shutdown right behind a checkpoint does.
+            // As at a shutdown directly after a checkpoint.
             2 => {
                 let step = model.jobs[claim.job].checkpoint.unwrap_or(step);
                 (lease.checkpoint(step, vec![2; 9]).await, model.checkpoint(claim, step))
@@ -289,7 +289,8 @@ impl History<'_> {
         same("the change of priority", found, self.model.set_priority(job, priority))
     }
 
-    /// Moves the clock by less than a lease, a lease to the millisecond, more, or more than a day; then takes back what ran out.
+    /// Advances the clock by less than a lease, exactly a lease, 1 ms more, or more than a day; then reclaims
+    /// expired leases.
     async fn pass_time(&mut self) -> Result<(), String> {
         let by = [LEASE_MS / 2, LEASE_MS, LEASE_MS + 1, 25 * 3600 * 1000][self.random.random_range(0..4)];
         self.log.push(format!("{by} ms pass"));
@@ -299,7 +300,7 @@ impl History<'_> {
         same("the leases that ran out", taken, self.model.reclaim(false))
     }
 
-    /// Another server takes over. The workers of the one before do not know yet.
+    /// Another server takes over. The workers of the previous server have not noticed yet.
     async fn restart(&mut self) -> Result<(), String> {
         self.log.push("restart".to_owned());
         self.jobs = self.bench.queue();
@@ -343,7 +344,7 @@ impl History<'_> {
         Ok(())
     }
 
-    /// What was written down since the last time: numbered without a gap, and what the model tells.
+    /// The events since the last comparison: numbered without gaps, and equal to those of the model.
     async fn compare_events(&mut self) -> Result<(), String> {
         let query = "SELECT seq, job_id, kind, data FROM events WHERE seq > $1 ORDER BY seq";
         let query = sqlx::query_as(query).bind(self.bench.last_event);
@@ -353,7 +354,7 @@ impl History<'_> {
         for (number, id, kind, data) in rows {
             let data: Value = serde_json::from_str(&data).map_err(failed)?;
             let state = data["state"].as_str().map(str::to_owned);
-            // PostgreSQL leaves out the numbers of what was rolled back.
+            // PostgreSQL skips the numbers of events that were rolled back.
             let next = if on_postgres() { number } else { self.bench.last_event + 1 };
             same("the number of an event", (number, number > self.bench.last_event), (next, true))?;
             self.bench.last_event = number;
@@ -361,13 +362,14 @@ impl History<'_> {
             found.push((job.ok_or("an event of another history")?, kind, state));
         }
         let mut expected = std::mem::take(&mut self.model.events);
-        // Leases that are taken back together are told of in any order; each job's own events keep theirs.
+        // The events of leases that are reclaimed together have any order; the events of each job keep
+        // theirs.
         found.sort_by_key(|event| event.0);
         expected.sort_by_key(|event| event.0);
         same("the events", found, expected)
     }
 
-    /// One checkpoint on disk of each job that may go on from one, none of one that has ended.
+    /// One checkpoint on disk for each job that can resume from one, none for jobs that have ended.
     fn compare_files(&self) -> Result<(), String> {
         let files = files_under(&self.bench.dir.path().join("artifacts"));
         for (job, id) in self.ids.iter().enumerate() {

@@ -1,5 +1,5 @@
-//! The job machine against a model of it: random histories of all that clients and workers do, and after every step the same
-//! jobs, leases, events and files as the model has.
+//! The job state machine against a model: random histories of operations of clients and workers. After every
+//! step the jobs, leases, events and files must equal those of the model.
 
 mod history;
 mod model;
@@ -9,17 +9,17 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use history::Bench;
 use model::Wrong;
 
-/// Histories of a usual run; `RELUME_JOB_HISTORIES` asks for another number.
+/// Default number of histories; `RELUME_JOB_HISTORIES` sets another.
 const HISTORIES: u64 = 10_000;
-/// Histories within which each wrong model is found out.
+/// Number of histories within which each wrong model is detected.
 const CONTROLS: u64 = 2_000;
 
 fn histories() -> u64 {
     std::env::var("RELUME_JOB_HISTORIES").map_or(HISTORIES, |count| count.parse().unwrap())
 }
 
-/// Runs histories `0..count`, each from its own number as seed, until one disagrees with the model. Says how many agreed, or how
-/// one did not.
+/// Runs histories `0..count`, each with its number as the seed, until one differs from the model. Returns the
+/// number of equal histories, or the difference.
 fn run(count: u64, wrong: Option<Wrong>) -> Result<u64, String> {
     let next = AtomicU64::new(0);
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(8);

@@ -1,4 +1,4 @@
-//! What the job machine should do: plain data and rules, no database.
+//! A model of the job state machine: plain data and rules, without a database.
 
 use std::collections::BTreeMap;
 
@@ -7,27 +7,27 @@ use relume_api::jobs::JobState;
 
 /// Steps of every job.
 pub const TOTAL: i64 = 100;
-/// Attempts without a new checkpoint after which a job is given up.
+/// Attempts without a new checkpoint after which a job fails.
 pub const MOST_IDLE: i64 = 3;
-/// How long a claim lasts without a heartbeat.
+/// Duration of a lease without a heartbeat.
 pub const LEASE_MS: i64 = 60_000;
-/// How long an idempotency key is remembered.
+/// Time for which an idempotency key is remembered.
 const KEY_MS: i64 = 24 * 3600 * 1000;
-/// PSNR that a job with a gate asks for.
+/// PSNR that a job with a quality gate requires.
 pub const WANTED_PSNR: f64 = 28.0;
 
-/// A mistake that the model makes on purpose, to see that the comparison finds it.
+/// A deliberate mistake of the model, which the comparison must detect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Wrong {
     /// A job that was asked to stop may still publish.
     CancelledPublishes,
-    /// Whoever held the job once may still write.
+    /// A worker that has lost the lease may still write.
     StaleLeaseWrites,
-    /// The oldest job runs first, whatever its priority.
+    /// The oldest job runs first, independent of its priority.
     OldestFirst,
     /// A shutdown counts as an attempt without a checkpoint.
     ShutdownCounts,
-    /// A key is remembered for ever.
+    /// An idempotency key is remembered for ever.
     KeysLast,
     /// A job that has ended may be cancelled.
     EndedIsCancelled,
@@ -44,7 +44,7 @@ impl Wrong {
     ];
 }
 
-/// A worker's claim: the job's number and which attempt at it.
+/// A worker's claim: the number of the job and of the attempt.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Claim {
     pub job: usize,
@@ -66,7 +66,7 @@ pub struct Job {
     pub models: i64,
 }
 
-/// What the database does not show of a job.
+/// Properties of a job that the database does not show.
 #[derive(Debug, Clone)]
 struct Hidden {
     gated: bool,
@@ -74,10 +74,10 @@ struct Hidden {
     lease_until_ms: i64,
 }
 
-/// An entry of a history: the job, what kind, and the state it tells.
+/// An event: the job, the type, and the state in it.
 pub type Event = (usize, String, Option<String>);
 
-/// What a submission comes to.
+/// The result of a submission.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Submission {
     Created,
@@ -86,7 +86,7 @@ pub enum Submission {
     PredecessorDeleted,
 }
 
-/// What a cancellation or deletion comes to.
+/// The result of a cancellation or deletion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Answer {
     Done,
@@ -99,15 +99,15 @@ pub struct Model {
     wrong: Option<Wrong>,
     pub now_ms: i64,
     pub jobs: Vec<Job>,
-    /// What happened since this was last emptied.
+    /// Events since this list was last emptied.
     pub events: Vec<Event>,
     hidden: Vec<Hidden>,
-    /// By key: with which request it came, which job it made, when.
+    /// Per idempotency key: its request, the job that it created, and the time.
     keys: BTreeMap<&'static str, (&'static str, usize, i64)>,
 }
 
 impl Model {
-    /// An empty queue at a time.
+    /// An empty queue at time `now_ms`.
     pub fn new(wrong: Option<Wrong>, now_ms: i64) -> Self {
         Self { wrong, now_ms, ..Self::default() }
     }
@@ -120,7 +120,7 @@ impl Model {
         self.events.push((job, kind.to_owned(), state.map(|state| state.name().to_owned())));
     }
 
-    /// Changes a job's state and tells of it. Without a worker it has no lease.
+    /// Changes a job's state and adds the event. Without a worker the job has no lease.
     fn turn(&mut self, job: usize, state: JobState) {
         let it = &mut self.jobs[job];
         it.state = state;
@@ -185,7 +185,7 @@ impl Model {
         Some(Claim { job, attempt: self.jobs[job].attempts })
     }
 
-    /// Whether a claim still stands.
+    /// Whether a claim is still valid.
     pub fn status(&self, claim: Claim) -> LeaseStatus {
         let job = &self.jobs[claim.job];
         let stands = job.attempts == claim.attempt || self.is(Wrong::StaleLeaseWrites);
@@ -306,7 +306,7 @@ impl Model {
         waits
     }
 
-    /// Takes back the leases that have run out, or all of them; how many.
+    /// Reclaims the expired leases, or all; returns their number.
     pub fn reclaim(&mut self, all: bool) -> usize {
         let mut taken = 0;
         for job in 0..self.jobs.len() {
@@ -326,7 +326,7 @@ impl Model {
         taken
     }
 
-    /// Whether a checkpoint of a job is on disk; not said of one that is deleted.
+    /// Whether a checkpoint of a job is on disk; `None` for a deleted job.
     pub fn keeps_file(&self, job: usize) -> Option<bool> {
         let it = &self.jobs[job];
         (!it.deleted).then(|| it.checkpoint.is_some() && !it.state.is_terminal())

@@ -1,4 +1,4 @@
-//! A client that sends random requests, one after another, and remembers what it was told.
+//! A client that sends random requests, one after another, and records the answers.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,17 +14,17 @@ use reqwest::Method;
 use super::known::{Fate, Kind, Thing};
 use crate::service_support::{CaptureZip, small_job};
 
-/// Why a client stops.
+/// The reason why a client stops.
 #[derive(Debug)]
 pub enum Stop {
     /// The server is gone.
     Killed,
-    /// Something is not as it was told.
+    /// The state contradicts an earlier answer.
     Wrong(String),
 }
 
 impl Stop {
-    /// What is wrong, if something is.
+    /// The contradiction, if there is one.
     pub fn wrong(self) -> Option<String> {
         match self {
             Self::Killed => None,
@@ -36,7 +36,7 @@ impl Stop {
 /// A refusal, by its status.
 type Answer<T> = Result<Result<T, u16>, Stop>;
 
-/// Tells the end of the server from what it says.
+/// Distinguishes the end of the server from its refusals.
 fn told<T>(answer: Result<T, ClientError>) -> Answer<T> {
     match answer {
         Ok(answer) => Ok(Ok(answer)),
@@ -46,7 +46,7 @@ fn told<T>(answer: Result<T, ClientError>) -> Answer<T> {
     }
 }
 
-/// Whether a thing is there, by what came of asking for it.
+/// The resource in an answer; `None` for 404.
 fn found<T>(answer: Result<T, ClientError>) -> Result<Option<T>, Stop> {
     match told(answer)? {
         Ok(thing) => Ok(Some(thing)),
@@ -55,7 +55,7 @@ fn found<T>(answer: Result<T, ClientError>) -> Result<Option<T>, Stop> {
     }
 }
 
-/// A refusal that may be expected: the thing is needed, busy or has ended.
+/// Accepts an expected refusal: the resource is needed, busy or has ended.
 fn done_or_in_the_way<T>(answer: Answer<T>) -> Result<Option<T>, Stop> {
     match answer? {
         Ok(answer) => Ok(Some(answer)),
@@ -67,11 +67,11 @@ fn done_or_in_the_way<T>(answer: Answer<T>) -> Result<Option<T>, Stop> {
 #[derive(Clone)]
 pub struct Requests {
     random: ChaCha8Rng,
-    /// What tells this client's content from others'.
+    /// Number of this client, which makes its content unique.
     number: u64,
     made: u64,
     things: Vec<Thing>,
-    /// A submission without an answer, with its key; it is sent again first.
+    /// A submission without an answer, with its idempotency key. It is repeated before other requests.
     unanswered: Option<(NewJob, String)>,
     pub answered: u64,
     counts: BTreeMap<Kind, usize>,
@@ -85,7 +85,7 @@ impl Requests {
         Self { random, number, made: 0, things, unanswered: None, answered: 0, counts }
     }
 
-    /// How many things of each kind were made by all clients.
+    /// Number of resources of each kind that all clients created.
     pub fn counts(clients: &[Self]) -> BTreeMap<Kind, usize> {
         let mut sums = BTreeMap::new();
         let counts = clients.iter().flat_map(|requests| &requests.counts);
@@ -101,7 +101,7 @@ impl Requests {
         !list["items"].as_array().unwrap().is_empty()
     }
 
-    /// The places of what is there of a kind.
+    /// Indices of the existing resources of a kind.
     pub fn kept(&self, kind: Kind) -> Vec<usize> {
         let is_kept = |place: &usize| {
             let thing = &self.things[*place];
@@ -120,7 +120,7 @@ impl Requests {
         self.things.push(thing);
     }
 
-    /// A capture that nobody else has.
+    /// A capture with unique content.
     fn archive(&mut self) -> Vec<u8> {
         self.made += 1;
         let mut capture = CaptureZip::new(6, 16);
@@ -129,7 +129,7 @@ impl Requests {
         capture.zip()
     }
 
-    /// Sends requests until the server is gone or something is wrong.
+    /// Sends requests until the server ends or an answer is wrong.
     pub async fn go_on(&mut self, client: &Client) -> Stop {
         loop {
             if let Err(stop) = self.request(client).await {
@@ -169,7 +169,7 @@ impl Requests {
         Ok(())
     }
 
-    /// Begins an upload, sends its next piece, or makes a capture of it.
+    /// Creates an upload, sends its next part, or makes a capture of it.
     async fn upload_in_pieces(&mut self, client: &Client) -> Result<(), Stop> {
         let refused = |status| Stop::Wrong(format!("an upload in pieces: {status}"));
         let Some(place) = self.any(Kind::Upload) else {
@@ -199,7 +199,7 @@ impl Requests {
         Ok(())
     }
 
-    /// Submits a job, or once more the one that no answer came to; either way it is there once.
+    /// Submits a job, or repeats the submission that got no answer. The job exists once in both cases.
     async fn submit(&mut self, client: &Client) -> Result<(), Stop> {
         if self.unanswered.is_none() {
             let Some(capture) = self.any(Kind::Capture) else { return self.upload(client).await };
@@ -214,7 +214,7 @@ impl Requests {
         let Some((job, key)) = self.unanswered.clone() else { return Ok(()) };
         match told(client.create_job(&job, Some(&key)).await)? {
             Ok(view) => self.add(Thing { parent: job.capture.to_string(), ..Thing::new(Kind::Job, view.id) }),
-            // Its capture may have been on its way out.
+            // Its capture may be in deletion.
             Err(422) => {}
             Err(status) => return Err(Stop::Wrong(format!("a submission: {status}"))),
         }
@@ -243,7 +243,7 @@ impl Requests {
         let Some(place) = self.any(Kind::Job) else { return Ok(()) };
         let Thing { id, parent, names, .. } = self.things[place].clone();
         if let Some(view) = done_or_in_the_way(told(client.retry_job(&id.as_str().into()).await))? {
-            // It is called what the one before is.
+            // A retry has the name of the job that it repeats.
             self.add(Thing { parent, names, ..Thing::new(Kind::Job, view.id) });
         }
         Ok(())
@@ -258,7 +258,7 @@ impl Requests {
         Ok(())
     }
 
-    /// Deletes a capture with its jobs, those left out that have made a model.
+    /// Deletes a capture with its jobs, except jobs with a model.
     async fn delete_capture(&mut self, client: &Client) -> Result<(), Stop> {
         let Some(place) = self.any(Kind::Capture) else { return Ok(()) };
         let capture = self.things[place].id.clone();
@@ -330,7 +330,7 @@ impl Requests {
         if self.kept(Kind::Webhook).len() >= 3 {
             return Ok(());
         }
-        // Nobody listens there, and none of these jobs ends so.
+        // No server listens there, and none of these jobs ends in this state.
         let url = format!("http://127.0.0.1:9/{}", self.made);
         let webhook = NewWebhook { url, events: vec![WebhookEvent::JobRejected], name: None };
         let made = told(client.create_webhook(&webhook).await)?;
@@ -364,7 +364,8 @@ impl Requests {
         Ok(())
     }
 
-    /// Compares everything that was answered with what is there. What was left open is known from then on.
+    /// Compares all answers with the state of the server. Afterwards the result of unanswered requests is
+    /// known as well.
     pub async fn verify(&mut self, client: &Client) -> Result<(), Stop> {
         let maps = told(client.environments().await)?.map_err(|status| Stop::Wrong(status.to_string()))?;
         for place in 0..self.things.len() {
@@ -404,13 +405,13 @@ impl Requests {
             }
         }
         self.verify_jobs(client).await?;
-        // What is known to be gone is not asked for for ever.
+        // Deleted resources are not requested for ever.
         let random = &mut self.random;
         self.things.retain(|thing| thing.fate != Fate::Deleted || random.random_bool(0.5));
         Ok(())
     }
 
-    /// Whether a key is good.
+    /// Whether a key is valid.
     async fn lets_in(&self, client: &Client, place: usize) -> Result<bool, Stop> {
         let secret = self.things[place].secret.clone();
         let bearer = Client::new(client.base().as_str(), Some(secret)).unwrap();
@@ -421,7 +422,8 @@ impl Requests {
         }
     }
 
-    /// Compares jobs. Those of a deleted capture went with it in one transaction, unless they have made a model.
+    /// Compares jobs. The jobs of a deleted capture were deleted in the same transaction, except jobs with a
+    /// model.
     async fn verify_jobs(&mut self, client: &Client) -> Result<(), Stop> {
         for place in 0..self.things.len() {
             if self.things[place].kind != Kind::Job {
@@ -446,7 +448,7 @@ impl Requests {
             return Err(Stop::Wrong(format!("job {} was not deleted with capture {parent}", view.id)));
         }
         if let (false, Some(model), None) = (ended_before, view.model, view.model_deleted_at) {
-            // It got the name that the job had at its end, which may have been another.
+            // The model has the name that the job had at its end, which may differ.
             self.add(Thing { names: BTreeSet::new(), ..Thing::new(Kind::Model, model) });
         }
         Ok(())

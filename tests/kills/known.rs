@@ -1,4 +1,4 @@
-//! What a client knows of the server from its answers alone, and what it must find after a kill.
+//! The state of the server as a client knows it from answers alone, which must hold after a kill.
 
 use std::collections::BTreeSet;
 
@@ -15,34 +15,34 @@ pub enum Kind {
     Key,
 }
 
-/// Whether a thing is there.
+/// Whether a resource exists.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fate {
     Kept,
     Deleted,
-    /// It was to be deleted and no answer came.
+    /// A deletion was requested but not answered.
     Either,
 }
 
-/// A thing that the server has answered for.
+/// A resource that the server has confirmed.
 #[derive(Debug, Clone)]
 pub struct Thing {
     pub kind: Kind,
     pub id: String,
     pub fate: Fate,
-    /// What it may be called: the last name that was answered for, and those without an answer. Empty: not known.
+    /// Possible names: the last confirmed name, and later names without an answer. Empty: unknown.
     pub names: BTreeSet<Option<String>>,
-    /// How a job ended, once that was seen.
+    /// The final state of a job, once it was observed.
     pub ended: Option<JobState>,
-    /// A job was asked to stop and the server said yes.
+    /// True after a confirmed cancellation of the job.
     pub stopping: bool,
     /// The capture of a job.
     pub parent: String,
-    /// What the bearer of a key sends.
+    /// The complete key, for a key.
     pub secret: String,
-    /// Bytes of an upload that were answered for.
+    /// Confirmed bytes of an upload.
     pub offset: usize,
-    /// The whole of an upload.
+    /// All bytes of an upload.
     pub archive: Vec<u8>,
 }
 
@@ -62,7 +62,7 @@ impl Thing {
         }
     }
 
-    /// Takes what was found for what is so from now on; an error when it cannot be.
+    /// Records an observation; an error if it contradicts the known state.
     pub fn settle(&mut self, found: bool) -> Result<(), String> {
         match (self.fate, found) {
             (Fate::Kept, false) => Err(format!("{:?} {} is lost", self.kind, self.id)),
@@ -78,7 +78,7 @@ impl Thing {
         }
     }
 
-    /// As [`Thing::settle`], of its name.
+    /// As [`Thing::settle`], for the name.
     pub fn settle_name(&mut self, found: Option<String>) -> Result<(), String> {
         if !self.names.is_empty() && !self.names.contains(&found) {
             return Err(format!(
@@ -90,7 +90,7 @@ impl Thing {
         Ok(())
     }
 
-    /// As [`Thing::settle`], of the state of a job.
+    /// As [`Thing::settle`], for the state of a job.
     pub fn settle_state(&mut self, found: JobState) -> Result<(), String> {
         let wrong = |why: &str| Err(format!("job {} is {} {why}", self.id, found.name()));
         if self.ended.is_some_and(|ended| ended != found) {

@@ -1,4 +1,5 @@
-//! kill -9 under random requests of every kind that changes something: whatever was answered holds, and nothing is left over.
+//! kill -9 under random requests of every kind that changes the state: all confirmed changes hold, and no
+//! leftovers remain.
 
 mod client;
 mod known;
@@ -18,18 +19,19 @@ use crate::service_support::files_under;
 use client::{Requests, Stop};
 use known::Kind;
 
-/// Kills of a usual run; `RELUME_KILLS` asks for another number.
+/// Default number of kills; `RELUME_KILLS` sets another.
 const KILLS: u64 = 200;
 const CLIENTS: u64 = 2;
 const SEED: u64 = 11;
-/// The operator's key: with keys made and revoked, the server must not be open to all.
+/// The operator's key. The server must not accept callers without a key, even after keys were created and
+/// revoked.
 const KEY: &str = "a-key-of-the-operator-of-these-tests";
 
-/// The server, with webhooks to this machine allowed.
+/// The server, with webhooks to this machine permitted.
 fn start(data: &Path) -> (Server, Client) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
     command.env("RELUME_API_KEYS", KEY);
-    // Uploads whose beginning was not answered stay for a day.
+    // Uploads whose creation was not answered are kept for a day.
     command.env("RELUME_MAX_UPLOADS_PER_TENANT", "100000");
     command.env("RELUME_WEBHOOK_ALLOW_HTTP", "true").env("RELUME_WEBHOOK_ALLOW_PRIVATE", "true");
     let server = Server::start_under(command, data);
@@ -37,7 +39,7 @@ fn start(data: &Path) -> (Server, Client) {
     (server, client)
 }
 
-/// Sends requests of all clients until the server is killed.
+/// Sends the requests of all clients until the server is killed.
 async fn work_until_killed(clients: &mut [Requests], server: Server, client: &Client, life: Duration) {
     let work = clients.iter_mut().map(|requests| requests.go_on(client));
     let kill = async {
@@ -50,7 +52,7 @@ async fn work_until_killed(clients: &mut [Requests], server: Server, client: &Cl
     }
 }
 
-/// What a client finds that is not as it was told.
+/// The contradictions that a client finds.
 async fn verify(clients: &mut [Requests], client: &Client) -> Result<(), Stop> {
     for requests in clients {
         requests.verify(client).await?;
@@ -58,7 +60,7 @@ async fn verify(clients: &mut [Requests], client: &Client) -> Result<(), Stop> {
     Ok(())
 }
 
-/// Lets every job end, also those that no client knows of, then stops the server as a signal does.
+/// Waits for the end of all jobs, including jobs that no client knows, then stops the server with a signal.
 async fn end_well(mut server: Server, client: &Client, clients: &mut [Requests]) {
     for state in ["queued", "running", "cancelling"] {
         while Requests::any_job(client, state).await {
@@ -85,15 +87,15 @@ async fn two_hundred_kills_lose_nothing_that_was_acknowledged() {
     let mut clients: Vec<Requests> = (0..CLIENTS).map(|client| Requests::new(SEED, client)).collect();
     for kill in 0..kills {
         let (server, client) = start(data.path());
-        // Some starts are killed before anything was asked.
+        // Some starts are killed before any request.
         if random.random_bool(0.9) {
             verify(&mut clients, &client).await.unwrap_or_else(|stop| panic!("before kill {kill}: {stop:?}"));
         }
-        // Few starts live long enough for a job to end by itself.
+        // A few starts run long enough for a job to complete.
         let longest = if random.random_bool(0.1) { 1500 } else { 250 };
         let life = Duration::from_millis(random.random_range(0..longest));
         work_until_killed(&mut clients, server, &client, life).await;
-        // As it lies there, everything that the database names is whole.
+        // Without recovery, all artifacts that the database references are intact.
         sound(data.path()).await;
     }
 
@@ -118,7 +120,7 @@ async fn two_hundred_kills_lose_nothing_that_was_acknowledged() {
     the_checks_find_what_is_lost(data.path(), &clients).await;
 }
 
-/// The control: a lost file, a lost row and a state that went back are found.
+/// Negative control: a lost file, a lost row and a reverted state are detected.
 async fn the_checks_find_what_is_lost(data: &Path, clients: &[Requests]) {
     let files = files_under(&data.join("artifacts"));
     let (capture, _) =

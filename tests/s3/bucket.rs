@@ -1,4 +1,4 @@
-//! An S3 server of this process (s3s on a folder), and what goes wrong on the way to it.
+//! An S3 server in this process (s3s on a folder), with injected faults.
 
 use std::io;
 use std::net::SocketAddr;
@@ -27,30 +27,30 @@ use crate::service_support::files_under;
 
 const KEY: &str = "test-key";
 const SECRET: &str = "test-secret";
-/// What all names in the bucket begin with.
+/// Prefix of all keys in the bucket.
 const PREFIX: &str = "relume/test";
-/// As many as it takes.
+/// An unlimited number of faults.
 pub const ALL: usize = usize::MAX;
 
-/// What goes wrong, and what was asked for.
+/// The injected faults, and a record of the requests.
 #[derive(Default)]
 pub struct Faults {
-    /// Requests that are answered with 503, and what their target has.
+    /// Number of requests that are answered with 503; the next field is a text in their target.
     pub refused: AtomicUsize,
     pub refused_of: Mutex<String>,
-    /// Objects whose connection ends in the middle of them.
+    /// Number of downloads whose connection ends halfway.
     pub cut: AtomicUsize,
-    /// Objects of which a byte is another one.
+    /// Number of downloads with a changed byte.
     pub flipped: AtomicUsize,
-    /// Uploads whose connection ends without an answer.
+    /// Number of uploads whose connection ends without an answer.
     pub unanswered: AtomicUsize,
-    /// Milliseconds before an answer.
+    /// Delay of each answer, milliseconds.
     pub slow: AtomicU64,
     /// Method and target of each request.
     pub seen: Mutex<Vec<String>>,
 }
 
-/// Whether one more goes wrong.
+/// Whether the next request fails; decrements the counter.
 fn one_of(count: &AtomicUsize) -> bool {
     count.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| left.checked_sub(1)).is_ok()
 }
@@ -60,13 +60,13 @@ impl Faults {
         fault.store(count, Ordering::SeqCst);
     }
 
-    /// How many requests begin so.
+    /// Number of requests that begin with `begin`.
     pub fn count(&self, begin: &str) -> usize {
         self.seen.lock().unwrap().iter().filter(|seen| seen.starts_with(begin)).count()
     }
 }
 
-/// A bucket, gone when this is.
+/// A bucket, deleted on drop.
 pub struct Bucket {
     root: TempDir,
     address: SocketAddr,
@@ -93,7 +93,7 @@ impl Bucket {
         Self { root, address, faults, task }
     }
 
-    /// The variables of the environment by which it is found.
+    /// The environment variables with which programs find it.
     pub fn settings(&self) -> [(String, String); 5] {
         [
             ("AWS_ACCESS_KEY_ID", KEY.to_owned()),
@@ -109,7 +109,7 @@ impl Bucket {
         format!("s3://bucket/{PREFIX}")
     }
 
-    /// As servers are told of it, less patient than they are.
+    /// The configuration for servers, with shorter timeouts than the default.
     pub fn place(&self) -> ObjectStoreConfig {
         let place = ObjectStoreConfig::new(Self::url().parse().unwrap(), self.settings());
         ObjectStoreConfig {
@@ -173,11 +173,11 @@ async fn answer(
     Ok(Response::from_parts(head, body))
 }
 
-/// The first half, then nothing more.
+/// The first half of the body, then an error.
 fn cut(bytes: Bytes) -> Body {
     let half = bytes.slice(..bytes.len() / 2);
     let end = stream::once(async {
-        // What was sent before is on its way by then.
+        // The delay makes sure that the first part has been sent.
         tokio::time::sleep(Duration::from_millis(20)).await;
         Err::<Bytes, _>(io::Error::other("the connection ends"))
     });

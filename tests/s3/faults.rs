@@ -1,4 +1,4 @@
-//! What goes wrong between a server and its object store.
+//! Faults between a server and its object store.
 
 use std::time::Duration;
 
@@ -14,14 +14,14 @@ use super::bucket::{ALL, Bucket};
 use super::{copies, large_capture, problem, server};
 use crate::service_support::{capture_zip, ended, files_under, small_job, trained};
 
-/// A server that has none of its files, and a model of it.
+/// A server without local copies, and one of its models.
 async fn with_nothing_here(bucket: &Bucket) -> (TestServer, ModelId) {
     let first = server(bucket, TempDir::new().unwrap(), |_| {}).await;
     let model = trained(first.client()).await.model.unwrap();
     let data = first.stop().await.unwrap();
     std::fs::remove_dir_all(data.path().join("artifacts")).unwrap();
     let next = server(bucket, data, |_| {}).await;
-    // It has looked through the bucket by then.
+    // By then its reconciliation has listed the bucket.
     super::until("the bucket is listed", || bucket.faults.count("GET /bucket?list-type=2") > 1).await;
     (next, model)
 }
@@ -47,7 +47,7 @@ async fn an_unreachable_object_store_answers_503_and_stores_nothing() {
     let left = files_under(&server.data_dir().join("artifacts"));
     assert!(left.is_empty(), "{left:?}");
 
-    // A few refusals are not noticed.
+    // A few refusals have no effect.
     faults.set(&faults.refused, 2);
     client.upload_capture_bytes(capture_zip()).await.unwrap();
     assert_eq!((bucket.keys().len(), ready(&server).await), (1, 200));
@@ -92,7 +92,7 @@ async fn truncated_objects_are_resumed_and_corrupt_ones_fetched_again() {
     assert!(left.is_empty(), "{left:?}");
     assert_eq!(client.file(&model, name).await.unwrap(), stored);
 
-    // A copy that is damaged is not what is stored.
+    // A damaged local copy is not the stored object.
     let copy = server.data_dir().join("artifacts").join(copies(server.data_dir()).remove(0));
     std::fs::write(&copy, "other bytes").unwrap();
     assert_eq!(client.file(&model, name).await.unwrap(), stored);
@@ -172,7 +172,7 @@ async fn a_deletion_waits_for_an_unreachable_object_store() {
     tokio::time::sleep(Duration::from_millis(1500)).await;
     assert_eq!(bucket.keys().len(), 1);
     faults.set(&faults.refused, 0);
-    // What was away for this look is there for the next one, which a restart brings soonest.
+    // The bucket was unreachable for this reconciliation. A restart triggers the next one soonest.
     let data = server.stop().await.unwrap();
     let _next = super::server(&bucket, data, |_| {}).await;
     super::until("the object is gone", || bucket.keys().is_empty()).await;

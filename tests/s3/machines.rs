@@ -1,4 +1,4 @@
-//! Several machines on one bucket, and programs beside the server.
+//! Several machines on one bucket, and commands that run beside the server.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -14,21 +14,21 @@ use super::{copies, problem, server, shows, until};
 use crate::server_process::Server;
 use crate::service_support::{capture_zip, ended, small_job, trained};
 
-/// A data directory with the database of another one and nothing else.
+/// A data directory with only the database of another one.
 fn with_database_of(data: &Path) -> TempDir {
     let other = TempDir::new().unwrap();
     std::fs::copy(data.join("relume.db"), other.path().join("relume.db")).unwrap();
     other
 }
 
-/// The program, told of a bucket by its environment.
+/// The program, with a bucket in its environment variables.
 fn relume(bucket: &Bucket) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
     command.envs(bucket.settings()).env("RELUME_ARTIFACTS", Bucket::url());
     command
 }
 
-/// Runs a program while this one serves the bucket.
+/// Runs a program while this process serves the bucket.
 async fn output(mut command: Command) -> Output {
     tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
 }
@@ -45,7 +45,7 @@ async fn a_machine_with_only_the_database_serves_everything() {
     let bytes = first.client().file(&model, "model.safetensors").await.unwrap();
     let data = first.stop().await.unwrap();
 
-    // The control: without the bucket there is nothing.
+    // Negative control: without the bucket there are no artifacts.
     let plain = |config: &mut relume::server::ServerConfig| config.database = None;
     let alone = testing::spawn_with(with_database_of(data.path()), plain).await.unwrap();
     let refused = alone.client().file(&model, "model.safetensors").await.unwrap_err();
@@ -119,7 +119,7 @@ async fn backup_fetches_objects_and_doctor_checks_the_bucket() {
     assert!(made.status.success() && text(&made).contains("3 artifacts"), "{}", text(&made));
     assert!(copies(data.path()).is_empty(), "a backup fetches to where it is made");
 
-    // Without the bucket, which is away by now, a restored backup has all.
+    // A restored backup is complete without the bucket, which is unreachable by now.
     let key = bucket.keys().into_iter().find(|key| key.ends_with("model.ply")).unwrap();
     std::fs::write(bucket.folder().join(&key), "other bytes").unwrap();
     let damaged = doctor().await;
@@ -150,7 +150,7 @@ async fn training_resumes_from_its_checkpoint_on_another_machine() {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     let data = first.stop().await.unwrap();
-    // One that cannot be had now is no reason to start over.
+    // The job does not restart from step 0 because its checkpoint is temporarily unreachable.
     let faults = &bucket.faults;
     "/checkpoint-".clone_into(&mut faults.refused_of.lock().unwrap());
     faults.set(&faults.refused, ALL);

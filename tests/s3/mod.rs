@@ -1,4 +1,5 @@
-//! Artifacts in an object store: all works as with a folder, on any machine, and what goes wrong on the way is told or mended.
+//! Artifacts in an object store: all operations work as with a folder, on any machine, and faults are
+//! reported or repaired.
 
 pub mod bucket;
 mod faults;
@@ -32,7 +33,7 @@ async fn server(bucket: &Bucket, data: TempDir, change: impl FnOnce(&mut ServerC
     testing::spawn_with(data, configure).await.unwrap()
 }
 
-/// A capture of at least `bytes` that was not sent before: what does not compress lies beside its photographs.
+/// A new capture of at least `bytes`, with an incompressible file beside its photographs.
 fn large_capture(bytes: usize) -> Vec<u8> {
     let mut state = 1u64;
     let noise = std::iter::repeat_with(|| {
@@ -44,18 +45,18 @@ fn large_capture(bytes: usize) -> Vec<u8> {
     capture.zip()
 }
 
-/// Whether the small picture of a model comes.
+/// Whether the server returns the thumbnail of a model.
 async fn shows(client: &Client, model: &ModelId) -> Result<(), ClientError> {
     client.thumbnail(model, "size=64").await.map(drop)
 }
 
-/// What is in a data directory beside its database that the bucket has.
+/// Keys of the local artifacts in a data directory, without unfinished uploads.
 fn copies(data: &Path) -> Vec<String> {
     let all = keys_under(&data.join("artifacts"));
     all.into_iter().filter(|key| !key.starts_with("uploads/") && !key.starts_with("incoming/")).collect()
 }
 
-/// Waits until `is` is.
+/// Waits until `is` returns true.
 async fn until(what: &str, is: impl Fn() -> bool) {
     for _ in 0..1500 {
         if is() {
@@ -130,14 +131,14 @@ async fn resumable_uploads_stay_local_until_they_are_captures() {
     assert_eq!((keys.len(), std::fs::read(folder.join(&keys[0])).unwrap() == archive), (1, true));
     assert_eq!(bucket.faults.count(&format!("PUT captures/{}?partNumber=", keys[0])), 3, "in parts");
 
-    // The same again needs no room there, and is what mends an object that went.
+    // A repeated upload takes no more space in the bucket, and replaces a lost object.
     std::fs::remove_file(folder.join(&keys[0])).unwrap();
     let again = client.upload_capture_bytes(archive.clone()).await.unwrap();
     assert_eq!(again.id, capture.id);
     assert!(std::fs::read(folder.join(&keys[0])).unwrap() == archive);
 }
 
-/// A bound under which no file stays for longer than it was used.
+/// A size limit with which no copy is kept longer than it is used.
 fn tiny(config: &mut ServerConfig, stays: Duration) {
     let place = config.artifacts.as_mut().unwrap();
     (place.cache_bytes, place.cache_min_age) = (1, stays);
@@ -176,7 +177,7 @@ async fn local_only_files_are_kept_until_they_are_in_the_bucket() {
     let data = alone.stop().await.unwrap();
     assert!(bucket.keys().is_empty(), "the control");
 
-    // However small the bound, nothing goes that is nowhere else.
+    // For any size limit, files that exist only on this machine are kept.
     let faults = &bucket.faults;
     "list-type".clone_into(&mut faults.refused_of.lock().unwrap());
     faults.set(&faults.refused, ALL);

@@ -1,4 +1,4 @@
-//! Callers who are sent to the bucket for files.
+//! Redirects of callers to the bucket.
 
 use relume::server::ServerConfig;
 use relume::store::ArtifactsRedirect;
@@ -14,13 +14,13 @@ use super::server;
 use crate::service_support::{small_job, trained};
 use crate::workers::fleet::{Process, model_hash, undisturbed, upload, without_workers};
 
-/// A server that sends its callers to the bucket.
+/// A server that redirects its callers to the bucket.
 async fn redirecting(bucket: &Bucket, redirect: ArtifactsRedirect) -> TestServer {
     let change = |config: &mut ServerConfig| config.artifacts.as_mut().unwrap().redirect = Some(redirect);
     server(bucket, TempDir::new().unwrap(), change).await
 }
 
-/// Asks a server for a file, and goes nowhere else.
+/// Requests a file from a server without following redirects.
 async fn ask(server: &TestServer, method: Method, path: &str, headers: &[(&str, &str)]) -> Response {
     let client = reqwest::Client::builder().redirect(Policy::none()).build().unwrap();
     let url = server.client().base().join(path).unwrap();
@@ -50,7 +50,7 @@ async fn downloads_are_redirected_to_the_bucket_where_possible() {
     assert_eq!(answer.headers()["cache-control"], "no-store");
     let there = location(&answer).to_owned();
     assert!(there.contains("/bucket/relume/test/attempts/"), "{there}");
-    // Nobody knows the caller there: the address alone lets it in.
+    // The bucket does not know the caller: the URL alone grants access.
     let whole = reqwest::get(&there).await.unwrap().bytes().await.unwrap();
     assert_eq!(&hash(&whole), expected);
     let range = reqwest::Client::new().get(&there).header("range", "bytes=3-8").send().await.unwrap();

@@ -1,4 +1,4 @@
-//! A collector: takes OTLP over HTTP and keeps the spans.
+//! A collector that receives OTLP over HTTP and keeps the spans.
 
 use std::sync::{Arc, Mutex};
 
@@ -10,7 +10,7 @@ use opentelemetry_proto::tonic::common::v1::any_value::Value;
 use opentelemetry_proto::tonic::trace::v1::Span;
 use prost::Message;
 
-/// A span as it was sent.
+/// A received span.
 #[derive(Debug, Clone)]
 pub struct Sent {
     pub service: String,
@@ -76,7 +76,7 @@ impl Collector {
         Self { endpoint, spans }
     }
 
-    /// What has arrived so far.
+    /// The spans received so far.
     pub fn spans(&self) -> Vec<Sent> {
         self.spans.lock().unwrap().clone()
     }
@@ -86,7 +86,7 @@ impl Collector {
         self.spans().into_iter().filter(|span| span.name == name).collect()
     }
 
-    /// The one span with a name.
+    /// The only span with a name.
     pub fn one(&self, name: &str) -> Sent {
         let mut found = self.named(name);
         assert_eq!(found.len(), 1, "{name} in {:#?}", self.spans());

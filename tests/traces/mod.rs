@@ -1,4 +1,4 @@
-//! Traces: what a job remembers of its request's, and what reaches a collector.
+//! Traces: the trace that a job stores of its request, and the spans that reach a collector.
 
 #[cfg(feature = "otlp")]
 mod collector;
@@ -16,7 +16,7 @@ use tempfile::TempDir;
 use crate::service_support::{capture_zip, open_store, small_job};
 use crate::workers::fleet::{claimed, hello, without_workers};
 
-/// What a caller sends along: a trace and one of its spans.
+/// The trace and the span that a caller sends.
 const JOB_TRACE: &str = "4bf92f3577b34da6a3ce929d0e0e4736";
 const CALLER: &str = "00f067aa0ba902b7";
 
@@ -25,7 +25,7 @@ fn traceparent(trace: &str) -> String {
     format!("00-{trace}-{CALLER}-01")
 }
 
-/// Posts a job with these headers; the view of it.
+/// Posts a job with these headers; returns its view.
 async fn post(client: &Client, job: &NewJob, traceparents: &[&str]) -> Value {
     let mut request = client.request(Method::POST, "/v1/jobs").unwrap().json(job);
     for traceparent in traceparents {

@@ -1,4 +1,4 @@
-//! Spans of the program as a process, at a collector.
+//! Spans that the program, as a process, sends to a collector.
 
 use std::io::Read;
 use std::process::{Command, Stdio};
@@ -21,7 +21,7 @@ const RENDER_TRACE: &str = "0af7651916cd43dd8448eb211c80319c";
 /// The kind of spans that answer a request.
 const SERVER: i32 = 2;
 
-/// The program, with these variables of OpenTelemetry and no others. Batches wait for the end of the process.
+/// The program, with only these OpenTelemetry variables. Batches are sent at the end of the process.
 fn relume(variables: &[(&str, &str)]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
     let inherited = std::env::vars().map(|(name, _)| name).filter(|name| name.starts_with("OTEL_"));
@@ -33,7 +33,7 @@ fn relume(variables: &[(&str, &str)]) -> Command {
     command
 }
 
-/// Asks a process to end, and waits for that.
+/// Terminates a process with a signal and waits for its end.
 async fn terminate(server: &mut Server) {
     let pid = rustix::process::Pid::from_child(&server.child);
     rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
@@ -46,7 +46,7 @@ async fn terminate(server: &mut Server) {
     panic!("the server does not end");
 }
 
-/// Asks for a frame with a `traceparent`.
+/// Requests a frame with a `traceparent`.
 async fn render(client: &Client, model: &str, traceparent: &str) {
     let look = json!({ "look_at": { "eye": [3, 0, 1], "target": [0, 0, 0], "fov_y_deg": 40 } });
     let frame = json!({ "camera": look, "width": 16, "height": 16, "environment": { "builtin": "studio" } });
@@ -55,7 +55,7 @@ async fn render(client: &Client, model: &str, traceparent: &str) {
     assert_eq!(response.status(), 200);
 }
 
-/// Every span with a name is a child of `parent`, and there is one at least.
+/// Checks that every span with one of the names is a child of `parent`, and that there is at least one.
 fn assert_children(collector: &Collector, names: &[&str], parent: &Sent) {
     for name in names {
         let found = collector.named(name);
@@ -66,7 +66,7 @@ fn assert_children(collector: &Collector, names: &[&str], parent: &Sent) {
     }
 }
 
-/// The spans of the steps of a job of 150: one stretch after the other, to the end.
+/// Checks the spans of the steps of a job of 150 steps: consecutive ranges up to the end.
 fn assert_steps(collector: &Collector) {
     let number = |span: &Sent, name| span.attribute(name).unwrap().parse::<u32>().unwrap();
     let steps = collector.named("steps");
@@ -115,7 +115,7 @@ async fn jobs_and_renders_are_spans_of_the_callers_trace() {
     assert_eq!(other.parent, "", "begins one");
 }
 
-/// How many batches of kernels are in the trace of a short job on the GPU, with this filter.
+/// The number of batches of kernels in the trace of a short job on the GPU, with this filter.
 async fn kernels(filter: &str) -> usize {
     let (collector, data) = (Collector::start().await, TempDir::new().unwrap());
     let variables = [
@@ -143,7 +143,7 @@ async fn kernel_spans_are_sent_if_the_filter_enables_them() {
     assert_eq!(kernels("relume=info").await, 0, "the control");
 }
 
-/// The names of the spans that a server sends which is asked whether it lives, by a caller with this `traceparent`.
+/// The names of the spans that a server sends for a request to `/healthz` with this `traceparent`.
 async fn names_sent(variables: &[(&str, &str)], traceparent: &str) -> Vec<String> {
     let (collector, data) = (Collector::start().await, TempDir::new().unwrap());
     let named: Vec<_> = variables
@@ -180,7 +180,7 @@ async fn no_spans_are_sent_when_tracing_is_off() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_unreachable_collector_gives_one_warning_and_no_delay() {
-    // Nobody listens there any more.
+    // No server listens there any more.
     let away = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let endpoint = format!("http://{away}");
     let variables = [("OTEL_EXPORTER_OTLP_ENDPOINT", &*endpoint), ("OTEL_BSP_SCHEDULE_DELAY", "50")];
@@ -209,7 +209,8 @@ async fn an_unreachable_collector_gives_one_warning_and_no_delay() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_attempt_on_a_remote_worker_belongs_to_its_jobs_trace() {
     let (collector, folder) = (Collector::start().await, TempDir::new().unwrap());
-    // This server is part of the test's process and sends nothing: the job keeps what the caller sent.
+    // This server runs in the test's process and sends no spans, so the job stores the caller's
+    // `traceparent`.
     let server = spawn_server().await;
     let capture = upload(server.client()).await;
     let job = post(server.client(), &short_job(&capture), &[&traceparent(JOB_TRACE)]).await;

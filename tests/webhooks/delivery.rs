@@ -1,4 +1,4 @@
-//! What a receiver gets, and what becomes of what it does not take.
+//! Deliveries to a receiver, and the handling of failed ones.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use tempfile::TempDir;
 use super::receiver::{Answer, Received, Receiver, for_all, is_signed, newest};
 use crate::service_support::{capture_zip, ended, small_job, trained};
 
-/// A server that sends to loopback, with a clock that stands.
+/// A server that sends to loopback, with a stopped clock.
 pub async fn start(data: TempDir, timeout: Duration) -> (TestServer, Arc<ManualClock>) {
     let clock = Arc::new(ManualClock::default());
     clock.advance(Duration::from_secs(1_700_000_000));
@@ -26,7 +26,7 @@ pub async fn start(data: TempDir, timeout: Duration) -> (TestServer, Arc<ManualC
     (testing::spawn_with(data, change).await.unwrap(), clock)
 }
 
-/// Moves the clock to the next attempt.
+/// Advances the clock to the next attempt.
 fn wait_out(clock: &ManualClock, log: &DeliveryView) -> Duration {
     let next: jiff::Timestamp = log.next_attempt_at.as_ref().unwrap().parse().unwrap();
     let gap = Duration::from_millis(u64::try_from(next.as_millisecond() - clock.now_ms()).unwrap());
@@ -36,7 +36,7 @@ fn wait_out(clock: &ManualClock, log: &DeliveryView) -> Duration {
 
 const PATIENT: Duration = Duration::from_secs(60);
 
-/// A job that is cancelled while it waits or runs.
+/// Cancels a job while it waits or runs.
 async fn cancelled(server: &TestServer) -> String {
     let client = server.client();
     let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
@@ -154,7 +154,7 @@ async fn redirects_are_not_followed_and_a_replay_resends_the_message() {
     assert_eq!(again.path, "/hook?to=me", "nobody asked for the other place in between");
     assert_eq!((again.header("webhook-id"), &again.body), (first.header("webhook-id"), &first.body));
     newest(client, &made.webhook.id, |d| d.state == DeliveryState::Delivered).await;
-    // What was delivered is sent again, too.
+    // A delivered message can also be replayed.
     client.replay_delivery(&made.webhook.id, &log.id).await.unwrap();
     assert_eq!(receiver.next().await.body, first.body);
     let nobody = client.replay_delivery(&made.webhook.id, &"msg_0".into()).await;
@@ -204,7 +204,7 @@ async fn a_webhook_that_fails_for_days_is_disabled_with_a_reason() {
     assert!(why.contains("2023-11-14T22:13:20Z") && why.contains("the receiver answered 500"), "{why}");
     let given_up = newest(client, &id, |d| d.state == DeliveryState::Failed).await;
 
-    // Nothing is entered any more, and nothing replayed.
+    // No more messages are queued, and none can be replayed.
     cancelled(&server).await;
     assert_eq!(client.deliveries(&id).await.unwrap().items.len(), 1);
     let refused = client.replay_delivery(&id, &given_up.id).await;

@@ -1,4 +1,4 @@
-//! Webhooks: entered with the end of a job, signed, delivered at least once, and only where they may go.
+//! Webhooks: queued with the end of a job, signed, delivered at least once, and only to permitted addresses.
 
 mod delivery;
 mod outbox;

@@ -1,4 +1,4 @@
-//! The end of a job and its messages are one transaction.
+//! The end of a job and its messages are written in one transaction.
 
 use std::time::Duration;
 
@@ -86,7 +86,7 @@ async fn each_terminal_job_state_enqueues_exactly_one_message() {
     lease.confirm_cancel().await.unwrap();
     expect(WebhookEvent::JobCancelled, &id, JobState::Cancelled);
 
-    // Given up after it crashed three times, and cancelled by one that died.
+    // A job that fails after three crashes, and one that is cancelled after its worker died.
     let id = bench.submit(0).await;
     for _ in 0..3 {
         bench.claim().await;
@@ -100,7 +100,7 @@ async fn each_terminal_job_state_enqueues_exactly_one_message() {
     bench.jobs.reclaim_all().await.unwrap();
     expect(WebhookEvent::JobCancelled, &id, JobState::Cancelled);
 
-    // Deleted while it waits.
+    // A job that is deleted while it waits.
     let id = bench.submit(0).await;
     bench.jobs.delete(&tenant, &ResourceName::new(ResourceKind::Job, id.as_str()), false).await.unwrap();
     expect(WebhookEvent::JobCancelled, &id, JobState::Cancelled);
@@ -122,7 +122,7 @@ async fn messages_are_deleted_after_a_month_and_with_their_webhook() {
     }
     store.delete_old_deliveries(bench.jobs.now_ms()).await.unwrap();
     assert_eq!(entered(store, "default", "a").await.len(), 1, "the first is 40 days old, the second 20");
-    // What comes of an attempt after the webhook was deleted is nobody's business.
+    // The result of an attempt is ignored if the webhook was deleted.
     let due = store.due_deliveries(bench.jobs.now_ms()).await.unwrap().remove(0);
     assert!(!store.delete_webhook(&"b".into(), &"a".into()).await.unwrap(), "not by another tenant");
     assert_eq!(entered(store, "default", "a").await.len(), 1);

@@ -1,4 +1,4 @@
-//! The server as a process: killed with a message under way, looked at by its log, and with TLS.
+//! The server as a process: a kill during a delivery, its log, and TLS.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -40,7 +40,7 @@ impl Process {
     }
 }
 
-/// SIGKILL: nothing is handed over.
+/// SIGKILL: the server releases nothing.
 impl Drop for Process {
     fn drop(&mut self) {
         self.child.kill().ok();
@@ -60,7 +60,7 @@ async fn messages_survive_kill_9_and_logs_contain_no_secret() {
     let job = trained(&server.client).await;
     let first = receiver.next().await;
     assert_eq!(first.job(), job.id.to_string());
-    // It was sent and not answered: nobody knows whether it arrived.
+    // The message was sent but not answered, so the server cannot know whether it arrived.
     drop(server);
     let server = Process::start(folder.path(), &log, &http);
     let again = receiver.next().await;
@@ -121,7 +121,7 @@ async fn messages_are_sent_only_over_tls_with_a_valid_certificate() {
     assert_eq!(delivered.attempts[0].status, Some(204));
     drop(server);
 
-    // The same receiver, of an authority that this server does not know.
+    // The same receiver, with a certificate authority that this server does not know.
     let other = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
     std::fs::write(&authority, other.cert.pem()).unwrap();
     let server = Process::start(folder.path(), &log, &trusting);

@@ -40,11 +40,11 @@ impl Received {
     }
 }
 
-/// What is answered next; 200 when nothing is said.
+/// The next answer; 200 by default.
 #[derive(Clone, Copy)]
 pub enum Answer {
     Status(u16),
-    /// Elsewhere on the same receiver.
+    /// A redirect to another path of the same receiver.
     Redirect,
     /// A body that never ends.
     Endless,
@@ -75,7 +75,7 @@ impl Receiver {
         Self { url, heard, answers }
     }
 
-    /// What is answered from now on, one after another.
+    /// Sets the next answers, in order.
     pub fn answer(&self, answers: &[Answer]) {
         self.answers.lock().unwrap().extend(answers);
     }
@@ -86,7 +86,7 @@ impl Receiver {
         next.expect("nothing comes").unwrap()
     }
 
-    /// Whether nothing was received that was not looked at.
+    /// Whether no unread request was received.
     pub fn is_silent(&mut self) -> bool {
         self.heard.try_recv().is_err()
     }
@@ -108,7 +108,7 @@ async fn hear(State(shared): State<Shared>, uri: Uri, headers: HeaderMap, body: 
     }
 }
 
-/// A webhook for all ends of jobs.
+/// A webhook for all final states of jobs.
 pub fn for_all(url: &str) -> NewWebhook {
     let events = vec![
         WebhookEvent::JobSucceeded,
@@ -119,7 +119,7 @@ pub fn for_all(url: &str) -> NewWebhook {
     NewWebhook { url: url.to_owned(), events, name: None }
 }
 
-/// The newest message to a webhook, once it is as `done` wants it.
+/// The newest delivery of a webhook, when `done` is true for it.
 pub async fn newest(client: &Client, id: &WebhookId, done: impl Fn(&DeliveryView) -> bool) -> DeliveryView {
     for _ in 0..3000 {
         let deliveries = client.deliveries(id).await.unwrap().items;
@@ -131,7 +131,7 @@ pub async fn newest(client: &Client, id: &WebhookId, done: impl Fn(&DeliveryView
     panic!("{:?}", client.deliveries(id).await);
 }
 
-/// Whether a request has the signature of a secret, among others perhaps: HMAC as RFC 2104 writes it.
+/// Whether the signatures of a request include that of a secret: HMAC according to RFC 2104.
 pub fn is_signed(secret: &str, received: &Received) -> bool {
     let key = STANDARD.decode(secret.strip_prefix("whsec_").unwrap()).unwrap();
     let padded = |with: u8| -> Vec<u8> {

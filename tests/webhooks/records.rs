@@ -1,4 +1,4 @@
-//! Webhooks as the API has them: made, checked, listed, bounded; and where they may not go.
+//! Webhooks in the API: creation, validation, lists, limits, and refused addresses.
 
 use std::time::Duration;
 

@@ -1,5 +1,6 @@
-//! Workers that are killed at random moments, a server and a database that come and go, an object store that fails, clocks that are
-//! wrong: every job ends once, with the bytes of an undisturbed run, and nothing is left.
+//! Workers that are killed at random moments, a server and a database that restart, an object store that
+//! fails, wrong clocks: every job ends once, with the bytes of an undisturbed run, and no files are left
+//! over.
 
 use std::collections::BTreeSet;
 use std::net::TcpListener;
@@ -21,11 +22,11 @@ use crate::workers::fleet::{Process, model_hash, short_job, undisturbed, upload,
 
 const WORKERS: usize = 3;
 const SEED: u64 = 23;
-/// What a clock is wrong by.
+/// Offset of a wrong clock.
 const AHEAD: &str = "+7m";
 const BEHIND: &str = "-5m";
 
-/// Jobs of a run: `RELUME_CHAOS_JOBS`, or a dozen.
+/// Number of jobs of a run: `RELUME_CHAOS_JOBS`, or twelve.
 fn count() -> usize {
     std::env::var("RELUME_CHAOS_JOBS").ok().and_then(|text| text.parse().ok()).unwrap_or(12)
 }
@@ -51,7 +52,7 @@ async fn on_postgres_and_s3_jobs_end_once_despite_kills_and_faults() {
     assert_eq!(keys.len(), 1 + 2 * count(), "the capture, and two files a job: {keys:?}");
 }
 
-/// What comes and goes while jobs run.
+/// The processes that are killed while jobs run.
 struct Fleet<'a> {
     address: String,
     data: TempDir,
@@ -60,14 +61,14 @@ struct Fleet<'a> {
     folders: Vec<PathBuf>,
     workers: Vec<Process>,
     server: Option<Process>,
-    /// Restarts PostgreSQL as a crash does; none where the database is a file.
+    /// A program that restarts PostgreSQL as after a crash; `None` for SQLite.
     restart_database: Option<PathBuf>,
     random: ChaCha8Rng,
-    /// Whose turn it is: everybody's once, in any order, then again.
+    /// The order of the victims: each once, in random order, then again.
     victims: Vec<usize>,
 }
 
-/// How often something was killed.
+/// The numbers of kills.
 #[derive(Debug, Default)]
 struct Deaths {
     workers: u32,
@@ -95,13 +96,14 @@ impl<'a> Fleet<'a> {
         fleet
     }
 
-    /// A worker process. The clock of the first goes wrong by minutes where there is a database with a clock of its own.
+    /// A worker process. On a database with its own clock, the clock of the first worker is wrong by minutes.
     fn worker(&self, i: usize) -> Process {
         let clock = if i == 0 && self.bucket.is_some() { wrong_clock(AHEAD) } else { Vec::new() };
         Process::start_with(&self.client, &self.folders[i], &[], clock)
     }
 
-    /// A server process, which dies when it is dropped. With a database that has a clock, its own is behind.
+    /// A server process, which is killed on drop. On a database with its own clock, the clock of the server
+    /// is behind.
     async fn start_server(&mut self) {
         let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
         command.args(["serve", "--no-worker", "--worker-silence", "2", "--max-attempts", "1000"]);
@@ -124,7 +126,7 @@ impl<'a> Fleet<'a> {
         panic!("the server does not start");
     }
 
-    /// Kills one thing, and starts it again.
+    /// Kills one process and starts it again.
     async fn harm(&mut self, deaths: &mut Deaths) {
         if let Some(bucket) = self.bucket {
             fail_now_and_then(bucket, &mut self.random);
@@ -147,18 +149,18 @@ impl<'a> Fleet<'a> {
                 deaths.databases += 1;
             }
             (victim, _) => {
-                // What runs there is killed as it is dropped.
+                // The previous worker is killed on drop.
                 self.workers[victim] = self.worker(victim);
                 deaths.workers += 1;
             }
         }
     }
 
-    /// Jobs that have not ended, of what is known.
+    /// Number of jobs that are not known to have ended.
     async fn running(&self, jobs: &[JobId]) -> usize {
         let mut open = 0;
         for id in jobs {
-            // The server that is asked may be on its way up.
+            // The server may still be starting.
             let has_ended = self.client.job(id).await.is_ok_and(|job| job.state.is_terminal());
             open += usize::from(!has_ended);
         }
@@ -166,8 +168,8 @@ impl<'a> Fleet<'a> {
     }
 }
 
-/// Jobs while things are killed; on a bucket that fails now and then, with clocks that are wrong and a database that crashes, where
-/// there is one. Returns the server's data directory.
+/// Runs jobs while processes are killed; if present, also on a bucket with occasional faults, and on a
+/// database that crashes, with wrong clocks. Returns the server's data directory.
 async fn run(bucket: Option<&Bucket>) -> TempDir {
     let expected = undisturbed(short_job).await;
     let folder = TempDir::new().unwrap();
@@ -196,7 +198,8 @@ async fn run(bucket: Option<&Bucket>) -> TempDir {
     fleet.data
 }
 
-/// The environment of a program whose clock is wrong by `offset`, which libfaketime reads. What it measures time with goes right.
+/// The environment of a program whose clock is wrong by `offset`, for libfaketime. The monotonic clock is
+/// correct.
 fn wrong_clock(offset: &str) -> Vec<(&'static str, String)> {
     let libraries = std::fs::read_dir("/usr/lib").unwrap().filter_map(Result::ok);
     let mut found = libraries.map(|folder| folder.path().join("faketime/libfaketime.so.1"));
@@ -228,7 +231,7 @@ fn restart_of_postgres() -> PathBuf {
     program.expect("a PostgreSQL of its own: RELUME_POSTGRES_RESTARTS=1 .ci/postgres").into()
 }
 
-/// One kind of fault for the next requests.
+/// Sets one kind of fault for the next requests.
 fn fail_now_and_then(bucket: &Bucket, random: &mut ChaCha8Rng) {
     let faults = &bucket.faults;
     let fault = [&faults.refused, &faults.cut, &faults.flipped, &faults.unanswered];
@@ -239,7 +242,7 @@ fn free_address() -> String {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
 }
 
-/// Where the database of a data directory is, unless it is a file in there.
+/// The URL of the database of a data directory; `None` for SQLite.
 async fn postgres_url(data: &Path) -> Option<String> {
     let url = std::env::var("RELUME_TEST_POSTGRES").ok()?;
     database_of(data).await.unwrap();

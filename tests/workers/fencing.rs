@@ -1,4 +1,4 @@
-//! A worker whose lease was given to another can do no harm, whatever it still sends.
+//! The requests of a worker that has lost its lease have no effect.
 
 use std::time::Duration;
 
@@ -33,7 +33,7 @@ async fn only_the_current_lease_can_publish() {
     let stale = client.leased_job(id.clone(), first.lease.unwrap());
     assert_eq!(stale.heartbeat().await.unwrap().status, LeaseStatus::Held);
     let sent = stale.put_file("model.safetensors", "stale".into()).await.unwrap();
-    // The first worker falls silent for longer than it may.
+    // The first worker sends no heartbeat for too long.
     let second = claimed(client, &hello("worker-2")).await;
     assert_eq!(second.task.unwrap().attempt, 2);
     let standing = client.leased_job(id.clone(), second.lease.unwrap());
@@ -101,7 +101,7 @@ async fn files_sent_before_a_restart_can_be_published_after_it() {
     let work = server.client().leased_job(id.clone(), lease.clone());
     let sent = work.put_file("model.safetensors", "bytes".into()).await.unwrap();
     let data = server.stop().await.unwrap();
-    // The control: of an attempt that is over.
+    // Negative control: a file of an attempt that has ended.
     let left = data.path().join(format!("artifacts/attempts/{id}/7/model.ply"));
     std::fs::create_dir_all(left.parent().unwrap()).unwrap();
     std::fs::write(&left, "left").unwrap();

@@ -1,4 +1,4 @@
-//! What the tests of workers share: a server that trains nothing itself, and workers as processes.
+//! Shared code of the tests of workers: a server without local workers, and workers as processes.
 
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -14,7 +14,7 @@ use tempfile::TempDir;
 
 use crate::service_support::{capture_zip, ended, small_job};
 
-/// A server whose jobs workers elsewhere train, and which notices soon when one of them falls silent.
+/// Configures a server without local workers that soon detects missing heartbeats.
 pub fn without_workers(config: &mut ServerConfig) {
     config.trainers = Trainers::None;
     config.lease.heartbeat_timeout = Duration::from_secs(2);
@@ -30,16 +30,16 @@ pub async fn upload(client: &Client) -> CaptureId {
     client.upload_capture_bytes(capture_zip()).await.unwrap().id
 }
 
-/// A worker process, which dies with the test.
+/// A worker process, which is killed with the test.
 pub struct Process(pub Child);
 
 impl Process {
-    /// `relume worker` for a server, with a cache of its own in `folder`.
+    /// `relume worker` for a server, with its own cache in `folder`.
     pub fn start(client: &Client, folder: &Path, args: &[&str]) -> Self {
         Self::start_with(client, folder, args, Vec::new())
     }
 
-    /// As [`Self::start`], with more in its environment.
+    /// As [`Self::start`], with additional environment variables.
     pub fn start_with(
         client: &Client,
         folder: &Path,
@@ -64,7 +64,7 @@ impl Process {
         panic!("the worker does not end");
     }
 
-    /// Asks it to end.
+    /// Terminates it with a signal.
     pub fn terminate(&self) {
         let pid = rustix::process::Pid::from_child(&self.0);
         rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
@@ -78,7 +78,7 @@ impl Drop for Process {
     }
 }
 
-/// A worker that only the test plays.
+/// A worker that the test simulates.
 pub fn hello(id: &str) -> WorkerHello {
     WorkerHello {
         id: id.into(),
@@ -90,7 +90,7 @@ pub fn hello(id: &str) -> WorkerHello {
     }
 }
 
-/// Asks for a job until there is one.
+/// Claims until there is a job.
 pub async fn claimed(client: &Client, hello: &WorkerHello) -> Claimed {
     for _ in 0..400 {
         let claimed = client.claim_job(hello).await.unwrap();
@@ -102,7 +102,7 @@ pub async fn claimed(client: &Client, hello: &WorkerHello) -> Claimed {
     panic!("no job is given to {hello:?}");
 }
 
-/// The hash of the model that a server's own worker makes of a job on the small capture.
+/// The hash of the model that a local worker trains for a job on the small capture.
 pub async fn undisturbed(job: impl Fn(&CaptureId) -> NewJob) -> String {
     let server = relume::testing::spawn().await.unwrap();
     let capture = upload(server.client()).await;
@@ -120,7 +120,7 @@ pub async fn model_hash(client: &Client, job: &JobId) -> String {
     model.files.into_iter().find(|file| file.name == "model.safetensors").unwrap().sha256
 }
 
-/// A job that takes a second or two.
+/// A job that takes one to two seconds.
 pub fn short_job(capture: &CaptureId) -> NewJob {
     small_job(capture, 150, 25)
 }

@@ -1,4 +1,4 @@
-//! Workers with a process of their own.
+//! Remote workers.
 
 mod chaos;
 mod fencing;

@@ -1,4 +1,4 @@
-//! `relume worker` as operators run it: to the end, killed, asked to stop, refused.
+//! `relume worker` as a process: completed jobs, kills, stops, refusals.
 
 use relume::server::ApiKeys;
 use relume::testing::spawn_with;

@@ -1,4 +1,4 @@
-//! Who works: labels, devices, draining, and who may ask.
+//! The worker registry: labels, devices, draining, permissions.
 
 use std::collections::BTreeSet;
 
@@ -147,7 +147,7 @@ async fn every_metric_on_the_grafana_dashboard_exists() {
     assert!(!is_there("relume_no_such_metric"), "the control");
 }
 
-/// Wrong messages are refused by field.
+/// Invalid messages are refused with the name of the field.
 async fn claimed_by_nobody(admin: &Client) {
     let mut wrong = hello("worker-1");
     wrong.id = "short".into();

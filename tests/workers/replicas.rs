@@ -1,4 +1,5 @@
-//! Servers beside the first one of a database, on one bucket: a capture in at one, trained by another's worker, rendered by a third.
+//! Replicas on one database and one bucket: a capture is uploaded to one server, trained by another's worker,
+//! and rendered by a third.
 
 use relume::server::{ServeError, ServerConfig};
 use relume::store::{DatabaseUrl, StoreError};
@@ -10,7 +11,7 @@ use crate::s3::bucket::Bucket;
 use crate::service_support::{capture_zip, ended};
 use crate::workers::fleet::{Process, short_job, without_workers};
 
-/// A server on a database and a bucket, with a data directory of its own.
+/// A server on a database and a bucket, with its own data directory.
 async fn server(url: &DatabaseUrl, bucket: &Bucket, change: impl FnOnce(&mut ServerConfig)) -> TestServer {
     let configure = |config: &mut ServerConfig| {
         config.database = Some(url.clone());
