@@ -245,7 +245,7 @@ fn main(@builtin(workgroup_id) wid: vec3u, @builtin(local_invocation_index) loca
                     s += dot(sh_attributes[k * GROUPS + $gu], gradient_$g);
 #end
                     weight = transmittance * alpha;
-                    // Capped alpha has no derivative.
+                    // The gradient by a capped alpha is zero.
                     flow = select(0.0, (transmittance * s - behind * inverse) * alpha, free < ALPHA_MAX);
                     behind += weight * s;
                 }

@@ -52,8 +52,8 @@ fn longest_axis(s: vec3f) -> u32 {
     return select(2u, 1u, s.y >= s.z);
 }
 
-// Element `k` of a half: moved half a sigma along the longest axis, shorter along it, and less opaque, so that both halves
-// together cover the area of the whole.
+// Element `k` of a half: moved half a sigma along the longest axis, shorter along it, and less opaque, so
+// that both halves together hide what the whole hid.
 fn halved(place: Place, source_ix: u32, k: u32, value: f32, side: f32) -> f32 {
     let log_scale = old_vector(old.log_scale + 3u * source_ix);
     let axis = longest_axis(log_scale);

@@ -56,7 +56,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     let normal = normals[gaussian_ix].xyz;
     var sky = vec3f(0.0);
     var lights = vec3f(0.0);
-    // Parameters that are NaN give a NaN normal.
+    // Parameters that are not finite give a normal that is not finite.
     if is_finite(normal.x) && is_finite(normal.y) && is_finite(normal.z) {
         let taps = cube_taps(shape.diffuse_n, normal);
 #repeat k 4

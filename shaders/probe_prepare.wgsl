@@ -5,7 +5,8 @@
 #import probe
 #import quaternion
 
-// Coordinate of the query point of a Gaussian with NaN parameters, outside of everything measured.
+// Coordinate of the query point of a Gaussian with unusable parameters (not finite, or too far out): outside
+// of everything measured.
 const NOWHERE = 2.0 * FAR_OUT;
 
 struct ProbeStart {

@@ -1,5 +1,6 @@
-// Adds each pixel's reflection of one small light, weighted by its arriving share: the mean over rays from points within the
-// pixel to points of the light. A thread owns a pixel. No workgroup memory.
+// Adds each pixel's reflection of one small light, weighted by its arriving share: the mean over rays from
+// points within the pixel to points of the light (the port of `PixelShadows` of
+// crates/engine/src/cpu/pixel_light.rs). A thread owns a pixel. No workgroup memory.
 #import camera
 #import generated/channels
 #import generated/surface_point

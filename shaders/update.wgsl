@@ -131,7 +131,7 @@ struct Radiance {
     // Gradient by the colour where its clamp passes it.
     by_colour: vec3f,
     direction: vec3f,
-    // False without a gradient; the direction may then be not finite.
+    // False without a gradient; the direction may then be infinite or NaN.
     is_active: bool,
 }
 

@@ -7,7 +7,7 @@ struct Lambert {
     irradiance: vec3f,
     // Irradiance, including gathered light and dominant lights.
     incoming: vec3f,
-    // Irradiance before the clamp.
+    // Irradiance before the clamp; the next member has it per tap.
     irradiance_raw: vec3f,
     tap_irradiance: array<vec3f, 4>,
     taps: Taps,
