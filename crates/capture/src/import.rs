@@ -8,7 +8,7 @@ use crate::formats::ply_points::Point;
 use crate::photos::{self, PhotoEntry, Split};
 use crate::{
     Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, blender, bounds, colmap, images, llff,
-    nerfstudio, truth,
+    masks, nerfstudio, truth,
 };
 use relume_spec::{CaptureReport, PhotographNote};
 
@@ -43,7 +43,8 @@ impl UndecodedCapture {
     pub fn open(path: &Path, options: &ImportOptions) -> Result<Self, CaptureError> {
         let source = CaptureFiles::open(path, &options.limits)?;
         let mut warnings = Vec::new();
-        let layout = read_layout(&source, &mut warnings)?;
+        let mut layout = read_layout(&source, &mut warnings)?;
+        masks::find(&source, &mut layout.1, &mut warnings);
         let sizes = photos::sizes(&source, &layout.1, options)?;
         Ok(Self { source, options: *options, layout, warnings, sizes, decoded: BTreeMap::new() })
     }
@@ -92,7 +93,9 @@ impl UndecodedCapture {
         let missing = photos.iter().enumerate().filter(|(i, _)| !decoded.contains_key(i));
         let missing: Vec<PhotoEntry> = missing.map(|(_, photo)| photo.clone()).collect();
         let mut loaded = photos::load(&source, &missing, &options, image_checks)?.into_iter();
-        let views = (0..photos.len()).filter_map(|i| decoded.remove(&i).or_else(|| loaded.next())).collect();
+        let views: Vec<_> =
+            (0..photos.len()).filter_map(|i| decoded.remove(&i).or_else(|| loaded.next())).collect();
+        warnings.extend(masks::check(&views)?);
         let (train, test) = split(&photos, views);
         let has_alpha = train.iter().any(|v| !v.image.is_opaque());
         let bounds = bounds::bounds(&train, &points, has_alpha);

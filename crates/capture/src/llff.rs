@@ -35,7 +35,7 @@ pub(super) fn read(
     let photo = |(i, ((image, row), pose)): (usize, ((String, &[f64; COLUMNS]), DMat4))| {
         let [height, width, focal] = [row[4], row[9], row[14]];
         PhotoEntry {
-            mask: masks::beside(source, &image),
+            mask: None,
             image,
             pose: turn * pose,
             lens: Lens {
@@ -64,10 +64,11 @@ fn images(source: &CaptureFiles) -> Vec<String> {
     let is_photo = |path: &&str| {
         let lower = path.to_ascii_lowercase();
         [".jpg", ".jpeg", ".png"].iter().any(|ending| lower.ends_with(ending))
-            && !lower.ends_with("_mask.png")
     };
-    let of =
-        |folder: &&str| source.paths_under(folder).filter(is_photo).map(str::to_owned).collect::<Vec<_>>();
+    let of = |folder: &&str| {
+        let photos = masks::separate(source.paths_under(folder).filter(is_photo));
+        photos.into_iter().map(str::to_owned).collect::<Vec<_>>()
+    };
     IMAGE_FOLDERS.iter().map(of).find(|images| !images.is_empty()).unwrap_or_default()
 }
 

@@ -1,9 +1,10 @@
 //! nerfstudio and Instant-NGP: one `transforms.json`, shared or per-frame intrinsics, masks, a point cloud.
 
 use crate::formats::ply_points::{self, Point};
+use crate::masks::MaskFile;
 use crate::photos::{PhotoEntry, Split, check_missing, locate};
 use crate::truth::TruthFiles;
-use crate::{CaptureError, CaptureFiles, masks, transforms};
+use crate::{CaptureError, CaptureFiles, transforms};
 
 /// The file that marks this layout.
 pub(super) const MARKER: &str = "transforms.json";
@@ -24,7 +25,7 @@ pub(super) fn read(
             continue;
         };
         photos.push(PhotoEntry {
-            mask: frame.mask.or_else(|| masks::beside(source, &image)),
+            mask: frame.mask.map(|path| MaskFile { path, hides: false }),
             image,
             pose: frame.pose,
             lens: frame.lens,

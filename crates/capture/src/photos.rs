@@ -5,8 +5,9 @@ use rayon::prelude::*;
 
 use crate::check::ImageChecks;
 use crate::error::name_list;
-use crate::images::{Loaded, dimensions, load_image, load_photo, photo_size};
+use crate::images::{Loaded, dimensions, load_photo, photo_size};
 use crate::lens::{Distortion, Intrinsics, Lens};
+use crate::masks::{self, MaskFile};
 use crate::truth::TruthFiles;
 use crate::{CaptureError, CaptureFiles, CaptureView, GroundTruthView, ImportOptions, undistort};
 use relume_scene::{Camera, ImageRgba, PackedImage};
@@ -16,8 +17,8 @@ use relume_scene::{Camera, ImageRgba, PackedImage};
 pub(super) struct PhotoEntry {
     /// Path of the image in the capture.
     pub image: String,
-    /// Path of a mask file; black marks pixels that are not of the object.
-    pub mask: Option<String>,
+    /// The file of its mask.
+    pub mask: Option<MaskFile>,
     /// Camera-to-world, OpenGL axes, in the world of the [`crate::Capture`].
     pub pose: DMat4,
     /// Intrinsics.
@@ -133,7 +134,7 @@ fn load_one(
         Some(image_checks) => load_and_check(source, photo, options, image_checks)?,
     };
     if let Some(mask) = &photo.mask {
-        apply_mask(source, mask, &mut image, options)?;
+        masks::apply(source, mask, stored, &mut image, options)?;
     }
     let (camera, image) = undistorted(photo, stored, image)?;
     let image = PackedImage::new(&image, depth);
@@ -221,23 +222,4 @@ fn camera(photo: &PhotoEntry, intrinsics: Intrinsics, stored: (u32, u32)) -> Res
     camera.map_err(|error| {
         CaptureError::at_field(&photo.stated_in, format!("{}.{}", photo.field, error.field), error.reason)
     })
-}
-
-/// Multiplies the image's alpha by the mask's brightness.
-fn apply_mask(
-    source: &CaptureFiles,
-    path: &str,
-    image: &mut ImageRgba,
-    options: &ImportOptions,
-) -> Result<(), CaptureError> {
-    let (mask, _) = load_image(source, path, options)?;
-    let mask = if (mask.width, mask.height) == (image.width, image.height) {
-        mask
-    } else {
-        mask.resized(image.width, image.height)
-    };
-    for (pixel, m) in image.pixels.iter_mut().zip(&mask.pixels) {
-        pixel[3] *= m[0] * m[3];
-    }
-    Ok(())
 }

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use crate::{CaptureError, CaptureFiles, ImportLimits, images, import, masks};
+use crate::masks::{self, MaskFile};
+use crate::{CaptureError, CaptureFiles, ImportLimits, images, import};
 
 /// File extensions of photographs that COLMAP reads.
 const ENDINGS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "webp"];
@@ -15,7 +16,7 @@ const ENDINGS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "webp"];
 pub struct PhotosWithoutPoses {
     source: CaptureFiles,
     /// Photographs, each with its mask file.
-    photos: BTreeMap<String, Option<String>>,
+    photos: BTreeMap<String, Option<MaskFile>>,
 }
 
 impl PhotosWithoutPoses {
@@ -37,12 +38,10 @@ impl PhotosWithoutPoses {
     }
 
     fn of(source: CaptureFiles) -> Option<Self> {
-        let is_photo = |path: &&str| is_photograph(path) && !is_mask(&source, path);
-        let photos: BTreeMap<_, _> = source
-            .paths()
-            .filter(is_photo)
-            .map(|path| (path.to_owned(), masks::beside(&source, path)))
-            .collect();
+        let names = masks::separate(source.paths().filter(|path| is_photograph(path)));
+        let names: Vec<&str> = names.into_iter().collect();
+        let found = masks::assign(&names, source.paths()).masks;
+        let photos: BTreeMap<_, _> = names.iter().map(|name| (*name).to_owned()).zip(found).collect();
         (!photos.is_empty()).then_some(Self { source, photos })
     }
 
@@ -52,8 +51,8 @@ impl PhotosWithoutPoses {
     }
 
     /// Mask files, each with its photograph.
-    pub(super) fn masks(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.photos.iter().filter_map(|(photo, mask)| Some((mask.as_deref()?, photo.as_str())))
+    pub(super) fn masks(&self) -> impl Iterator<Item = (&MaskFile, &str)> {
+        self.photos.iter().filter_map(|(photo, mask)| Some((mask.as_ref()?, photo.as_str())))
     }
 
     /// The bytes of a photograph or mask.
@@ -82,17 +81,6 @@ fn is_photograph(path: &str) -> bool {
     ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str()))
 }
 
-/// True for files in `masks/` and for `NAME_mask.png` beside a photograph `NAME`.
-fn is_mask(source: &CaptureFiles, path: &str) -> bool {
-    let in_folder = path.split('/').rev().skip(1).any(|folder| folder == "masks" || folder == "mask");
-    let of = masks::stem(path).strip_suffix("_mask");
-    let has_photo = |stem: &str| {
-        let endings = ENDINGS.iter().flat_map(|e| [(*e).to_owned(), e.to_ascii_uppercase()]);
-        endings.map(|ending| format!("{stem}.{ending}")).any(|photo| source.contains(&photo))
-    };
-    in_folder || of.is_some_and(has_photo)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -108,7 +96,7 @@ mod tests {
             std::fs::write(path, b"x").unwrap();
         }
         let found = PhotosWithoutPoses::open(folder.path(), &ImportLimits::default()).unwrap()?;
-        let masks = found.masks().map(|(mask, of)| (mask.to_owned(), of.to_owned())).collect();
+        let masks = found.masks().map(|(mask, of)| (mask.path.clone(), of.to_owned())).collect();
         Some((found.photos().map(str::to_owned).collect(), masks))
     }
 

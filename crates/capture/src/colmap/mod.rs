@@ -15,7 +15,7 @@ use crate::formats::ply_points::Point;
 use crate::photos::{PhotoEntry, Split, check_missing};
 use crate::truth::TruthFiles;
 use crate::upright::upright;
-use crate::{CaptureError, CaptureFiles, masks};
+use crate::{CaptureError, CaptureFiles};
 
 /// Folders that may contain a sparse model; the first that does is used.
 const FOLDERS: [&str; 5] = ["sparse/0/", "sparse/", "colmap/sparse/0/", "0/", ""];
@@ -69,7 +69,7 @@ pub(super) fn read(
     let (mut photos, mut missing) = (Vec::new(), Vec::new());
     for image in &model.images {
         match locate(source, &image.name) {
-            Some(path) => photos.push(photo(source, &model, image, path, turn, &images_file)?),
+            Some(path) => photos.push(photo(&model, image, path, turn, &images_file)?),
             None => missing.push(image.name.clone()),
         }
     }
@@ -90,7 +90,7 @@ pub(super) fn stated(
     let model = read_model(source, files)?;
     let turn = upright(model.images.iter().map(up), "COLMAP", warnings);
     let images_file = files.path("images");
-    let of = |image: &PosedImage| photo(source, &model, image, image.name.clone(), turn, &images_file);
+    let of = |image: &PosedImage| photo(&model, image, image.name.clone(), turn, &images_file);
     model.images.iter().map(of).collect()
 }
 
@@ -126,7 +126,6 @@ fn locate(source: &CaptureFiles, name: &str) -> Option<String> {
 }
 
 fn photo(
-    source: &CaptureFiles,
     model: &SparseModel,
     image: &PosedImage,
     path: String,
@@ -139,7 +138,7 @@ fn photo(
         CaptureError::at_field(stated_in, format!("{field}.camera_id"), reason)
     })?;
     Ok(PhotoEntry {
-        mask: masks::beside(source, &path),
+        mask: None,
         image: path,
         pose: pose(image, turn),
         lens: *lens,

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::error::PoseError;
-use crate::PhotosWithoutPoses;
+use crate::{PhotosWithoutPoses, masks};
 
 /// The folder of an unfinished capture.
 pub(super) struct Workspace {
@@ -37,7 +37,8 @@ impl Workspace {
             })?;
         }
         for (mask, of) in photographs.masks() {
-            keep(&root.join("masks").join(format!("{of}.png")), &photographs.read(mask)?)?;
+            let png = masks::as_png(mask, photographs.read(&mask.path)?)?;
+            keep(&root.join("masks").join(format!("{of}.png")), &png)?;
         }
         Ok(workspace)
     }

@@ -5,4 +5,5 @@
 mod archives;
 mod bad_input;
 mod layouts;
+mod masks;
 mod with_data;
