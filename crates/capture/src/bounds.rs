@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::{CaptureView, SceneBounds};
+use crate::{CaptureView, SceneBounds, rig};
 use relume_scene::{Camera, Framing};
 
 /// Radius of the object relative to the ball that a camera sees completely.
@@ -22,7 +22,7 @@ pub(super) fn bounds(views: &[CaptureView], points: &[(DVec3, [f32; 3])], has_al
     if points.len() >= 16 {
         return from_points(&cameras, points);
     }
-    let centre = nearest_to_axes(&cameras);
+    let centre = looked_at(&cameras);
     let radius = |camera: &&Camera| {
         let distance = (camera.centre() - centre).length();
         if has_alpha { seen_radius(camera, centre).map_or(distance, |r| r * CORNER_MARGIN) } else { distance }
@@ -35,7 +35,7 @@ pub(super) fn bounds(views: &[CaptureView], points: &[(DVec3, [f32; 3])], has_al
 /// that fills the longer side of the median camera's image. An object is rarely in the middle of every image, and
 /// rarely smaller than this ball.
 pub fn focus_region(cameras: &[&Camera]) -> (DVec3, f64) {
-    let centre = nearest_to_axes(cameras);
+    let centre = looked_at(cameras);
     let radius = |camera: &&Camera| {
         let half_angle = f64::max(
             (0.5 * f64::from(camera.width) / camera.fx).atan(),
@@ -50,7 +50,7 @@ pub fn focus_region(cameras: &[&Camera]) -> (DVec3, f64) {
 /// optical axes. The field of view is that of the camera's shorter side. `None` without cameras, or if the camera
 /// lies at that point.
 pub fn framing(cameras: &[&Camera]) -> Option<Framing> {
-    let target = nearest_to_axes(cameras);
+    let target = looked_at(cameras);
     let direction = |camera: &Camera| (camera.centre() - target).normalize_or_zero();
     let middle = cameras.iter().map(|camera| direction(camera)).sum::<DVec3>();
     let nearness = |camera: &Camera| direction(camera).dot(middle);
@@ -83,23 +83,30 @@ fn quantile(mut values: Vec<f64>, q: f64) -> f64 {
     *values.select_nth_unstable_by(index, f64::total_cmp).1
 }
 
-/// The point with the least summed squared distance to the optical axes. When the axes are nearly parallel, so
+/// The point with the least summed squared distance to the axes, each an origin and a unit direction. When the axes are nearly parallel, so
 /// that this point is not well defined: the mean of the points one unit in front of the cameras.
-fn nearest_to_axes(cameras: &[&Camera]) -> DVec3 {
+pub(super) fn nearest_to_axes(axes: impl Iterator<Item = (DVec3, DVec3)>) -> DVec3 {
     let mut normal = DMat3::ZERO;
     let mut moment = DVec3::ZERO;
-    for camera in cameras {
-        let d = camera.forward();
+    let (mut ahead, mut count) = (DVec3::ZERO, 0.0f64);
+    for (eye, d) in axes {
         let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
         normal += across;
-        moment += across * camera.centre();
+        moment += across * eye;
+        ahead += eye + d;
+        count += 1.0;
     }
-    let count = cameras.len().max(1) as f64;
     if normal.determinant() > 1e-6 * count.powi(3) {
         return normal.inverse() * moment;
     }
-    let ahead = |c: &&Camera| c.centre() + c.forward();
-    cameras.iter().map(ahead).sum::<DVec3>() / count
+    ahead / count.max(1.0)
+}
+
+/// The point that the cameras look at, without stray cameras.
+fn looked_at(cameras: &[&Camera]) -> DVec3 {
+    let strays = rig::strays(&cameras.iter().map(|c| c.centre()).collect::<Vec<_>>());
+    let usual = cameras.iter().enumerate().filter(|(i, _)| !strays.contains(i));
+    nearest_to_axes(usual.map(|(_, camera)| (camera.centre(), camera.forward())))
 }
 
 /// Radius of the largest ball around `centre` inside the camera's frustum; `None` when the centre is outside.

@@ -8,7 +8,7 @@ use crate::formats::ply_points::Point;
 use crate::photos::{self, PhotoEntry, Split};
 use crate::{
     Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, blender, bounds, colmap, images, llff,
-    masks, nerfstudio, truth,
+    masks, nerfstudio, rig, truth,
 };
 use relume_spec::{CaptureReport, PhotographNote};
 
@@ -44,6 +44,7 @@ impl UndecodedCapture {
         let source = CaptureFiles::open(path, &options.limits)?;
         let mut warnings = Vec::new();
         let mut layout = read_layout(&source, &mut warnings)?;
+        rig::check(&mut layout.1, &mut warnings)?;
         masks::find(&source, &mut layout.1, &mut warnings);
         let sizes = photos::sizes(&source, &layout.1, options)?;
         Ok(Self { source, options: *options, layout, warnings, sizes, decoded: BTreeMap::new() })

@@ -80,6 +80,10 @@ impl Lens {
         let (Some(fx), Some(fy)) = (fx.or(fy), fy.or(fx)) else {
             return Err(bad("fl_x", "is missing, as is camera_angle_x: the focal length is unknown".into()));
         };
+        if let Some(angle) = self.angle.into_iter().flatten().find(|angle| *angle > std::f64::consts::PI) {
+            let reason = format!("{angle} is not an angle in radians; divide degrees by 57.296");
+            return Err(bad("camera_angle_x", reason));
+        }
         if !(fx.is_finite() && fx > 0.0 && fy.is_finite() && fy > 0.0) {
             let field = if self.focal[0].is_some() { "fl_x,fl_y" } else { "camera_angle_x" };
             return Err(bad(field, format!("gives focal lengths {fx}, {fy}, which must be positive")));
@@ -89,7 +93,55 @@ impl Lens {
         if !(cx.is_finite() && cy.is_finite()) {
             return Err(bad("cx,cy", "must be finite".into()));
         }
+        self.check_plausible((fx, fy), (cx, cy), stated).map_err(|(field, reason)| bad(field, reason))?;
         Ok(Intrinsics { focal: (fx * scale.0, fy * scale.1), centre: (cx * scale.0, cy * scale.1) })
+    }
+}
+
+/// Fields of view that no pinhole photograph has, degrees.
+const FIELD_OF_VIEW: std::ops::RangeInclusive<f64> = 2.0..=150.0;
+
+impl Lens {
+    /// Refuses numbers that no lens has, with the likely cause.
+    fn check_plausible(
+        &self,
+        focal: (f64, f64),
+        centre: (f64, f64),
+        size: (f64, f64),
+    ) -> Result<(), (&'static str, String)> {
+        let is_small = |value: f64, side: f64| value.abs() <= 2.0 && side >= 16.0;
+        let fov = |focal: f64, side: f64| (2.0 * (0.5 * side / focal).atan()).to_degrees();
+        let widest = fov(focal.0, size.0).max(fov(focal.1, size.1));
+        let is_fisheye = matches!(self.distortion, Distortion::Fisheye { .. });
+        if !is_fisheye && !FIELD_OF_VIEW.contains(&widest) {
+            let field = if self.focal[0].is_some() { "fl_x,fl_y" } else { "camera_angle_x" };
+            let cause = match (self.focal[0].is_some_and(|f| is_small(f, size.0)), widest < 2.0) {
+                (true, _) => "; focal lengths must be in pixels, not relative to the size",
+                (false, true) => "; the intrinsics may be those of a larger picture: state its w and h",
+                (false, false) => "",
+            };
+            return Err((
+                field,
+                format!("gives a field of view of {widest:.1} degrees, not 2 to 150{cause}"),
+            ));
+        }
+        let is_stated = self.centre[0].is_some() && self.centre[1].is_some();
+        let is_near = |c: f64, side: f64| (-0.5 * side..=1.5 * side).contains(&c);
+        if is_stated && is_small(centre.0, size.0) && is_small(centre.1, size.1) {
+            return Err((
+                "cx,cy",
+                format!("({}, {}) must be in pixels, not relative to the size", centre.0, centre.1),
+            ));
+        }
+        if !(is_near(centre.0, size.0) && is_near(centre.1, size.1)) {
+            let (cx, cy) = centre;
+            let reason = format!(
+                "({cx}, {cy}) is far outside {} x {} pixels; the intrinsics may be those of a larger picture: state its w and h",
+                size.0, size.1
+            );
+            return Err(("cx,cy", reason));
+        }
+        Ok(())
     }
 }
 
@@ -125,6 +177,27 @@ mod tests {
         assert_eq!((i.focal, i.centre), ((400.0, 350.0), (255.0, 125.0)));
         let error = lens.resolve("t.json", (500, 500)).unwrap_err();
         assert_eq!(error.field(), Some("w,h"));
+    }
+
+    #[test]
+    fn implausible_intrinsics_are_refused_by_field_with_the_cause() {
+        let lens =
+            |focal: f64, centre: Option<f64>| Lens { focal: [Some(focal); 2], centre: [centre; 2], ..BARE };
+        let refused = |lens: Lens| lens.resolve("t.json", (96, 72)).unwrap_err().to_string();
+        for (lens, field, cause) in [
+            (lens(1.2, None), "fl_x,fl_y", "not relative to the size"),
+            (lens(9.0, None), "fl_x,fl_y", "158.8 degrees"),
+            (lens(9000.0, None), "fl_x,fl_y", "larger picture"),
+            (lens(100.0, Some(0.5)), "cx,cy", "in pixels"),
+            (lens(440.0, Some(192.0)), "cx,cy", "larger picture"),
+            (Lens { angle: [Some(53.0), None], ..BARE }, "camera_angle_x", "radians"),
+        ] {
+            let text = refused(lens);
+            assert!(text.contains(field) && text.contains(cause), "{lens:?}: {text}");
+        }
+        assert!(lens(100.0, Some(48.0)).resolve("t.json", (96, 72)).is_ok(), "the control");
+        let fisheye = Lens { distortion: Distortion::Fisheye { k: [0.0; 4] }, ..lens(30.0, None) };
+        assert!(fisheye.resolve("t.json", (200, 100)).is_ok(), "a fisheye lens may be wider");
     }
 
     #[test]

@@ -25,6 +25,7 @@ mod photographs;
 mod photos;
 mod photos_without_poses;
 pub mod poses;
+mod rig;
 mod sharpness;
 mod synthetic;
 mod transforms;

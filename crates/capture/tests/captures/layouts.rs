@@ -81,8 +81,9 @@ fn transforms_test_file_defines_the_held_out_images() {
     test["frames"].as_array_mut().unwrap().remove(0);
     files.insert("transforms_test.json".into(), test.to_string().into_bytes());
     let capture = import_bytes(&zip(&files)).unwrap();
-    assert_eq!((capture.train.len(), capture.test.len()), (4, 1));
+    assert_eq!((capture.train.len(), capture.test.len()), (3, 1), "a held-out photograph is not trained on");
     assert_eq!(capture.test[0].name, "train/r_1.png");
+    assert!(capture.train.iter().all(|view| view.name != "train/r_1.png"));
 }
 
 #[test]

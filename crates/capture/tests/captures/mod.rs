@@ -6,4 +6,5 @@ mod archives;
 mod bad_input;
 mod layouts;
 mod masks;
+mod rig;
 mod with_data;

@@ -1,0 +1,105 @@
+//! Poses that no real capture has are refused, or reported with numbers and the likely cause.
+
+use glam::{DMat4, DVec3, DVec4};
+use relume_capture::{Capture, CaptureError};
+use relume_fixtures::small_set::{Files, import_folder, nerfstudio, picture, pose};
+use serde_json::{Value, json};
+
+/// A nerfstudio set of twelve photographs whose poses and frames are changed by `edit`.
+fn captured(edit: impl FnOnce(&mut Vec<Value>)) -> Files {
+    let frame = |i: usize| json!({"file_path": format!("images/{i}.png"), "transform_matrix": pose(i)});
+    let mut frames: Vec<Value> = (0..12).map(frame).collect();
+    edit(&mut frames);
+    let mut files = nerfstudio(|set| set["frames"] = frames.into());
+    files.extend((6..12).map(|i| (format!("images/{i}.png"), picture(i))));
+    files
+}
+
+/// Applies `change` to the camera-to-world matrix of a frame.
+fn change_pose(frame: &mut Value, change: impl Fn(DMat4) -> DMat4) {
+    let rows: [[f64; 4]; 4] = serde_json::from_value(frame["transform_matrix"].clone()).unwrap();
+    let pose = DMat4::from_cols_array_2d(&rows).transpose();
+    frame["transform_matrix"] = json!(change(pose).transpose().to_cols_array_2d());
+}
+
+fn imported(edit: impl FnOnce(&mut Vec<Value>)) -> Result<Capture, CaptureError> {
+    import_folder(&captured(edit))
+}
+
+fn warnings(edit: impl FnOnce(&mut Vec<Value>)) -> Vec<String> {
+    imported(edit).unwrap().warnings
+}
+
+#[test]
+fn plausible_poses_give_no_warning() {
+    assert_eq!(warnings(|_| ()), [""; 0]);
+}
+
+#[test]
+fn one_pose_for_all_photographs_is_refused() {
+    let error = imported(|frames| {
+        let first = frames[0]["transform_matrix"].clone();
+        frames.iter_mut().for_each(|frame| frame["transform_matrix"] = first.clone());
+    });
+    let error = error.unwrap_err().to_string();
+    assert_eq!(error, "transforms.json: gives all 12 photographs the same pose");
+}
+
+#[test]
+fn a_repeated_frame_is_used_once_and_a_second_pose_is_refused() {
+    let capture = imported(|frames| frames.push(frames[3].clone())).unwrap();
+    assert_eq!(capture.train.len() + capture.test.len(), 12);
+    let said = &capture.warnings;
+    assert!(
+        said.len() == 1 && said[0].ends_with("held out if one of the frames is: images/3.png"),
+        "{said:?}"
+    );
+    let error = imported(|frames| {
+        let mut other = frames[3].clone();
+        other["transform_matrix"] = frames[4]["transform_matrix"].clone();
+        frames.push(other);
+    });
+    let error = error.unwrap_err();
+    assert_eq!(error.field(), Some("frames[12]"));
+    assert!(error.to_string().contains("images/3.png, which frames[3] names with another pose"), "{error}");
+}
+
+#[test]
+fn cameras_that_look_away_are_reported_with_their_number() {
+    let opencv = |pose: DMat4| DMat4::from_cols(pose.x_axis, -pose.y_axis, -pose.z_axis, pose.w_axis);
+    let said = warnings(|frames| frames.iter_mut().for_each(|frame| change_pose(frame, opencv)));
+    assert!(
+        said.iter().any(|w| w.starts_with("only 0 of 12 cameras look") && w.contains("OpenCV")),
+        "{said:?}"
+    );
+}
+
+#[test]
+fn a_stray_camera_is_named_and_does_not_move_the_bounds() {
+    let plain = imported(|_| ()).unwrap();
+    let stray = imported(|frames| {
+        change_pose(&mut frames[5], |mut pose| {
+            pose.w_axis += DVec4::new(4000.0, 100.0, 0.0, 0.0);
+            pose
+        });
+    })
+    .unwrap();
+    assert!(stray.warnings.iter().any(|w| w.contains("1 cameras") && w.ends_with("images/5.png")));
+    let moved = (stray.bounds.centre - plain.bounds.centre).length();
+    assert!(
+        moved < 0.1 && (stray.bounds.radius / plain.bounds.radius - 1.0).abs() < 0.1,
+        "{:?}",
+        stray.bounds
+    );
+}
+
+#[test]
+fn a_world_whose_up_is_not_z_is_reported() {
+    let y_up = DMat4::from_rotation_x(-std::f64::consts::FRAC_PI_2);
+    let said = warnings(|frames| frames.iter_mut().for_each(|frame| change_pose(frame, |pose| y_up * pose)));
+    assert!(said.len() == 1 && said[0].contains("not +Z") && said[0].contains("the side"), "{said:?}");
+    let turned = DMat4::from_rotation_translation(glam::DQuat::from_rotation_z(1.0), DVec3::splat(5.0));
+    let same =
+        warnings(|frames| frames.iter_mut().for_each(|frame| change_pose(frame, |pose| turned * pose)));
+    assert_eq!(same, [""; 0], "the control: rotated about +Z and moved");
+}
