@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_alpha_and_inverted_masks_give_the_same_values_as_white_on_black() {
+    fn labels_alpha_and_hiding_masks_give_the_same_values() {
         let expected = [0.0, 1.0, 1.0];
         let label = 1.0 / 255.0;
         for (image, hides) in [
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn masks_are_rewritten_only_where_other_programs_would_misread_them() {
+    fn masks_are_rewritten_only_if_others_would_misread_them() {
         let png = image_file::encode_png(2, 1, &[[0u8], [255]]).unwrap();
         let labels = image_file::encode_png(2, 1, &[[0u8], [1]]).unwrap();
         let file = |hides| MaskFile { path: "masks/a.png".to_owned(), hides };

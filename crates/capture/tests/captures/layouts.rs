@@ -37,7 +37,7 @@ fn blender_set_keeps_poses_and_holds_out_every_eighth_image() {
 }
 
 #[test]
-fn photographs_decoded_for_the_memory_estimate_are_not_decoded_again() {
+fn photographs_of_the_memory_estimate_are_decoded_once() {
     let folder = tempfile::TempDir::new().unwrap();
     for (name, bytes) in &blender() {
         let path = folder.path().join(name);

@@ -63,7 +63,7 @@ fn masks_of_every_common_name_are_used() {
 }
 
 #[test]
-fn mask_values_of_labels_alpha_and_hidden_pixels_are_understood() {
+fn labels_alpha_and_hiding_masks_are_read() {
     let named = |n: &str| format!("masks/{n}.png");
     let rgba = |inside: u8, outside: u8| {
         let pixels: Vec<[u8; 4]> = image_file::decode(&grey(inside, outside), 100)
@@ -85,7 +85,7 @@ fn mask_values_of_labels_alpha_and_hidden_pixels_are_understood() {
 }
 
 #[test]
-fn masks_that_leave_no_object_are_refused_and_inverted_ones_are_reported() {
+fn masks_that_leave_no_object_are_refused() {
     let named = |n: &str| format!("masks/{n}.png");
     let refused = |files: &Files| imported(files).unwrap_err().to_string();
     let empty = refused(&with_masks(named, &grey(0, 0)));
@@ -127,7 +127,7 @@ fn inverted_masks_are_reported_by_photograph() {
 }
 
 #[test]
-fn masks_without_photograph_and_photographs_without_mask_are_reported() {
+fn unused_and_missing_masks_are_reported() {
     let (share, warnings) = imported(&with_masks(|n| format!("masks/shot_{n}.png"), &grey(255, 0))).unwrap();
     assert_eq!(share, 1.0);
     assert!(warnings.len() == 1 && warnings[0].starts_with("6 masks, 0 used; not used: masks/shot_0.png"));

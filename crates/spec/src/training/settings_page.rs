@@ -122,7 +122,7 @@ fn another(setting: &Setting) -> Value {
 }
 
 #[test]
-fn every_setting_of_the_overrides_changes_the_configuration() {
+fn every_override_changes_the_configuration() {
     let all = settings();
     assert!(all.len() > 50, "{}", all.len());
     for setting in all {
