@@ -6,6 +6,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::archive::{TarCompression, TarEntries, ZipEntries, read_bounded};
+use crate::formats::recognise_foreign;
 use crate::{CaptureError, ImportLimits};
 
 /// A capture's files by their path relative to the capture's root, `/` between parts.
@@ -90,13 +91,18 @@ impl CaptureFiles {
     ///
     /// # Errors
     /// [`CaptureError::File`] when there is none, [`CaptureError::OverLimit`] when it is too large,
-    /// [`CaptureError::ArchiveDamaged`] when it does not unpack to the size and checksum that the archive states.
+    /// [`CaptureError::ArchiveDamaged`] when it does not unpack to the size and checksum that the archive states,
+    /// [`CaptureError::File`] for a Git LFS pointer or a web page in its place.
     pub fn read(&self, path: &str) -> Result<Vec<u8>, CaptureError> {
         let &index = self.files.get(path).ok_or_else(|| missing(path))?;
-        match &self.container {
+        let bytes = match &self.container {
             Container::Folder { paths, .. } => read_file(&paths[index], path, &self.limits),
             Container::Zip(zip) => zip.read(index, path, &self.limits),
             Container::Tar(tar) => tar.read(index, path),
+        }?;
+        match recognise_foreign(&bytes) {
+            Some(what) => Err(CaptureError::File { file: path.to_owned(), reason: what.to_owned() }),
+            None => Ok(bytes),
         }
     }
 

@@ -9,6 +9,9 @@ pub enum ImageFileError {
     /// Not a PNG, JPEG, WebP, TIFF or EXR file.
     #[error("not a PNG, JPEG, WebP, TIFF or EXR image (the first bytes are {0})")]
     UnknownKind(String),
+    /// A file of another kind in the place of an image.
+    #[error("{0}")]
+    Foreign(&'static str),
     /// More pixels than allowed, according to the header.
     #[error("{width}x{height} pixels are more than the {limit} allowed")]
     TooManyPixels {

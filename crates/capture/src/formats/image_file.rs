@@ -10,7 +10,7 @@ use image::{
 };
 use jpeg_encoder::{ColorType, SamplingFactor};
 
-use crate::formats::{ImageFileError, exr_image};
+use crate::formats::{ImageFileError, exr_image, recognise_foreign};
 use relume_scene::{BitDepth, ImageRgba, srgb};
 
 /// Default limit on the pixels of one image.
@@ -157,6 +157,7 @@ fn kind(bytes: &[u8]) -> Result<ImageFormat, ImageFileError> {
         Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP | ImageFormat::Tiff)) => {
             Ok(format)
         }
+        _ if let Some(what) = recognise_foreign(bytes) => Err(ImageFileError::Foreign(what)),
         _ => Err(ImageFileError::UnknownKind(format!("{:?}", String::from_utf8_lossy(first(bytes))))),
     }
 }

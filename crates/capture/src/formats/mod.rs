@@ -6,6 +6,7 @@ pub mod exif_data;
 pub mod exr_frame;
 mod exr_header;
 pub mod exr_image;
+mod foreign;
 pub mod gltf;
 pub mod image_file;
 pub mod model_file;
@@ -18,3 +19,4 @@ pub mod usd;
 pub mod viewer_stream;
 
 pub use error::ImageFileError;
+pub use foreign::recognise as recognise_foreign;

@@ -6,6 +6,7 @@ use std::collections::HashMap;
 use safetensors::tensor::{Dtype, SafeTensors, View};
 use serde::{Deserialize, Serialize};
 
+use crate::formats::recognise_foreign;
 use relume_scene::{
     Field, Framing, Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, ShadeAt, ShadingOptions,
     SplitLight,
@@ -167,6 +168,9 @@ pub fn encode(model: &Model) -> Result<Vec<u8>, ModelFileError> {
 /// Names the header field or tensor that is missing, of another length, or not finite.
 pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
     let bad = |field: &str, reason: String| ModelFileError::Field { field: field.to_owned(), reason };
+    if let Some(what) = recognise_foreign(bytes) {
+        return Err(bad("file", what.to_owned()));
+    }
     let (_, metadata) = SafeTensors::read_metadata(bytes)?;
     let text = metadata.metadata().as_ref().and_then(|m| m.get(HEADER_KEY));
     let text = text.ok_or_else(|| bad("header", "is missing: this is not a Relume model".into()))?;

@@ -4,7 +4,8 @@ use serde_json::json;
 
 use relume_capture::CaptureError;
 use relume_fixtures::small_set::{
-    Files, blender, colmap, import_bytes, nerfstudio, picture, pose_with_entry, transforms, zip,
+    Files, blender, colmap, import_bytes, import_folder, nerfstudio, picture, pose_with_entry, transforms,
+    zip,
 };
 
 fn refusal(files: &Files) -> CaptureError {
@@ -174,4 +175,24 @@ fn invalid_colmap_values_are_refused_by_file_and_entry() {
     binary.insert("sparse/0/images.bin".into(), u64::MAX.to_le_bytes().to_vec());
     let error = refusal(&binary);
     assert_eq!((error.code(), error.file()), ("capture_file_invalid", Some("sparse/0/cameras.bin")));
+}
+
+#[test]
+fn pointers_and_web_pages_in_the_place_of_files_are_named() {
+    let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12\n".to_vec();
+    let page = b"<!DOCTYPE html><html><body>404</body></html>".to_vec();
+    let heic = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic".to_vec();
+    for (file, bytes, word) in [
+        ("images/2.png", pointer.clone(), "git lfs pull"),
+        ("images/2.png", page.clone(), "web page"),
+        ("images/2.png", heic, "HEIC"),
+        ("transforms.json", pointer, "git lfs pull"),
+        ("transforms.json", page, "web page"),
+    ] {
+        let mut files = nerfstudio(|_| ());
+        files.insert(file.to_owned(), bytes);
+        let error = import_folder(&files).unwrap_err();
+        assert_eq!(error.file(), Some(file), "{word}");
+        assert!(error.to_string().contains(word), "{error}");
+    }
 }
