@@ -86,7 +86,11 @@ async fn a_job_with_an_invalid_field_is_refused_with_a_pointer() {
         ),
         (
             json!({ "capture": capture, "overrides": { "light": { "environment": "studio", "exposure_ev": 40 } } }),
-            "/overrides/light",
+            "/overrides/light/exposure_ev",
+        ),
+        (
+            json!({ "capture": capture, "overrides": { "weights": { "smoothness": -1 } } }),
+            "/overrides/weights/smoothness",
         ),
         (json!({ "capture": capture, "priority": 101 }), "/priority"),
         (json!({ "capture": capture, "device": "gpu" }), "/device"),
