@@ -40,7 +40,7 @@ pub(super) struct Creation {
 /// How a creation leaves the state `validating`.
 enum Outcome {
     Ready,
-    Invalid(Problem),
+    Invalid(Box<Problem>),
     /// The upload was deleted.
     Gone,
 }
@@ -60,7 +60,7 @@ impl Creation {
         loop {
             match attempt {
                 Ok(()) => return Outcome::Ready,
-                Err(problem) if !is_outage(&problem) => return Outcome::Invalid(problem),
+                Err(problem) if !is_outage(&problem) => return Outcome::Invalid(Box::new(problem)),
                 Err(_) => tokio::time::sleep(RETRY_INTERVAL).await,
             }
             attempt = match self.reopen_upload().await {

@@ -31,7 +31,8 @@ impl Renderer {
     /// samples and seed.
     ///
     /// # Errors
-    /// Names the field (of the camera, or `samples`) that cannot be rendered.
+    /// Names the field (of the camera, or `samples`) that cannot be rendered. [`DeviceError::Misuse`] for a light of another
+    /// renderer.
     pub fn render(
         &self,
         camera: &Camera,
@@ -55,6 +56,7 @@ impl Renderer {
         quality: Quality,
         outputs: &[Output],
     ) -> Result<Bands<'a>, RenderError> {
+        self.check_light(light)?;
         quality.check().map_err(|reason| RenderError::Refused { field: "samples", reason })?;
         let mut outputs = outputs.to_vec();
         outputs.push(Output::Alpha);
@@ -212,6 +214,17 @@ mod tests {
             assert!(noise.is_finite(), "{tier:?}");
             assert_eq!(noise > 2e-3, tier == Tier::MonteCarlo, "the control, with other samples: {noise}");
         }
+    }
+
+    #[test]
+    fn light_of_another_renderer_is_refused() {
+        let (renderer, other) = (balls(), balls());
+        let camera = Camera::look_at(DVec3::new(0.2, -3.0, 0.4), DVec3::ZERO, DVec3::Z, 0.7, (8, 8)).unwrap();
+        let [own, foreign] =
+            [&renderer, &other].map(|r| r.prepare_light(EnvMap::constant(8, 4, [1.0; 3])).unwrap());
+        let render = |light| renderer.render(&camera, light, Tier::Standard, &[Output::Rgb]);
+        assert!(matches!(render(&foreign), Err(RenderError::Device(DeviceError::Misuse(_)))));
+        assert!(render(&own).is_ok(), "the control");
     }
 
     #[test]

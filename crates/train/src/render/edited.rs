@@ -9,13 +9,14 @@ impl Renderer {
     /// row-major pixel before it is shaded as in the standard tier, e.g. to replace a layer by ground truth.
     ///
     /// # Errors
-    /// Names the camera field that cannot be rendered.
+    /// Names the camera field that cannot be rendered. Refuses a light of another renderer.
     pub fn render_edited(
         &self,
         camera: &Camera,
         light: &PreparedLight,
         edit: &SurfaceEdit<'_>,
     ) -> Result<Frame, RenderError> {
+        self.check_light(light)?;
         let (view, host) = (self.view(camera)?, self.light_on_host(light));
         // The tables include all lights, so no light is shaded separately.
         let tables = light.whole_tables(host, self.model().gaussians.visibility_degree());

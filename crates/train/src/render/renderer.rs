@@ -22,6 +22,8 @@ pub struct PreparedLight {
     /// The light; its map has at most the rows that the Monte-Carlo tier uses.
     pub(super) source: Illumination,
     pub(super) frame: Box<dyn FrameLight>,
+    /// The model for which the light is prepared.
+    model: Arc<HostModel>,
     /// The light on the host, for computations that no other device has.
     host: OnceLock<HostLight>,
     split: OnceLock<HighTierLight>,
@@ -84,6 +86,7 @@ impl Renderer {
         Ok(PreparedLight {
             source: source.with_at_most_rows(SAMPLED_ROWS),
             frame,
+            model: self.host().clone(),
             host: OnceLock::new(),
             split: OnceLock::new(),
             sampler: OnceLock::new(),
@@ -111,6 +114,14 @@ impl Renderer {
         match at_gaussians && outputs.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha)) {
             true => ColourMode::Alone,
             false => ColourMode::WithGBuffer,
+        }
+    }
+
+    /// Refuses a light of another renderer, which would show the model of that renderer.
+    pub(super) fn check_light(&self, light: &PreparedLight) -> Result<(), DeviceError> {
+        match Arc::ptr_eq(&light.model, self.host()) {
+            true => Ok(()),
+            false => Err(DeviceError::Misuse("the light was prepared by another renderer".to_owned())),
         }
     }
 
