@@ -9,10 +9,11 @@ use crate::server::app::AppState;
 use crate::server::middleware::{self, MiddlewareConfig, QUERIES, RENDERS, THUMBNAILS, UPLOADS, with_limits};
 use crate::server::problem::Problem;
 #[cfg(feature = "web")]
+use crate::server::web;
 use crate::server::{
     cameras, captures, deletion, description, environments, events, exports, files, health, jobs, keys,
-    models, photographs, poses, previews, renders, signed_urls, thumbnails, uploads, usage, viewer, web,
-    webhooks, workers,
+    models, photographs, poses, previews, renders, signed_urls, thumbnails, uploads, usage, viewer, webhooks,
+    workers,
 };
 
 fn families() -> OpenApiRouter<AppState> {
