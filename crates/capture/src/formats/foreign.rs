@@ -1,6 +1,7 @@
 //! Recognises files of other kinds that stand in the place of an image or a model.
 
-/// What a file is, and the remedy, if it is one of the kinds that people often have in the place of the real file.
+/// Recognises a Git LFS pointer, a web page, a HEIC or AVIF picture and an MP4 file by the first bytes. Returns a sentence with the
+/// kind and the remedy, or `None` for all other files.
 pub fn recognise(bytes: &[u8]) -> Option<&'static str> {
     let start = bytes.get(..64).unwrap_or(bytes);
     let trimmed = start.trim_ascii_start().to_ascii_lowercase();

@@ -22,7 +22,7 @@ use crate::photos::PhotoEntry;
 pub(crate) struct MaskFile {
     /// Path in the capture.
     pub path: String,
-    /// True if white marks what is hidden, false if white marks the object.
+    /// True: the white pixels of the mask are hidden. False: the white pixels show the object.
     pub hides: bool,
 }
 
