@@ -44,7 +44,7 @@ impl UndecodedCapture {
         let source = CaptureFiles::open(path, &options.limits)?;
         let mut warnings = Vec::new();
         let mut layout = read_layout(&source, &mut warnings)?;
-        rig::check(&mut layout.1, &mut warnings)?;
+        rig::check(&layout.1, &mut warnings)?;
         masks::find(&source, &mut layout.1, &mut warnings);
         let sizes = photos::sizes(&source, &layout.1, options)?;
         Ok(Self { source, options: *options, layout, warnings, sizes, decoded: BTreeMap::new() })
@@ -142,7 +142,14 @@ const THUMBNAIL: u32 = 64;
 /// The layout's name, its photographs and its points.
 pub(super) type Layout = (String, Vec<PhotoEntry>, Vec<Point>);
 
+/// Reads the poses of any layout. Each photograph occurs once.
 pub(super) fn read_layout(source: &CaptureFiles, warnings: &mut Vec<String>) -> Result<Layout, CaptureError> {
+    let mut layout = read_any_layout(source, warnings)?;
+    rig::remove_repeated(&mut layout.1, warnings)?;
+    Ok(layout)
+}
+
+fn read_any_layout(source: &CaptureFiles, warnings: &mut Vec<String>) -> Result<Layout, CaptureError> {
     if source.contains(blender::MARKER) {
         let photos = blender::read(source, warnings)?;
         let in_own_folders = photos.iter().all(|p| p.image.contains("/rgba"));

@@ -19,12 +19,11 @@ const STRAY_CAMERAS: usize = 8;
 /// Least cosine between +Z and the mean up direction of the cameras, 60 degrees.
 const UPRIGHT: f64 = 0.5;
 
-/// Removes repeated frames and warns of implausible poses.
+/// Warns of implausible poses.
 ///
 /// # Errors
-/// Names the frame that gives a photograph a second pose, or the file that gives all photographs one pose.
-pub(super) fn check(photos: &mut Vec<PhotoEntry>, warnings: &mut Vec<String>) -> Result<(), CaptureError> {
-    remove_repeated(photos, warnings)?;
+/// Names the file that gives all photographs one pose.
+pub(super) fn check(photos: &[PhotoEntry], warnings: &mut Vec<String>) -> Result<(), CaptureError> {
     let Some(first) = photos.first() else { return Ok(()) };
     if photos.iter().all(|photo| is_same(&photo.pose, &first.pose)) {
         let reason = format!("gives all {} photographs the same pose", photos.len());
@@ -43,7 +42,13 @@ fn is_same(a: &DMat4, b: &DMat4) -> bool {
 
 /// Keeps one of the frames that name one photograph with the same pose: a held-out one, so that no held-out photograph is trained
 /// on, else the first.
-fn remove_repeated(photos: &mut Vec<PhotoEntry>, warnings: &mut Vec<String>) -> Result<(), CaptureError> {
+///
+/// # Errors
+/// Names the frame that gives a photograph a second pose.
+pub(super) fn remove_repeated(
+    photos: &mut Vec<PhotoEntry>,
+    warnings: &mut Vec<String>,
+) -> Result<(), CaptureError> {
     let mut kept: BTreeMap<String, usize> = BTreeMap::new();
     let mut repeated = Vec::new();
     for (i, photo) in photos.iter().enumerate() {
