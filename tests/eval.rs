@@ -128,6 +128,28 @@ fn a_model_scores_perfectly_on_its_own_renders() {
     }
     assert_eq!(report.training_seconds, Some(12.5));
     assert_eq!((report.views, report.gaussians), (3, 9));
+    assert!(report.novel_view_foreground_psnr.unwrap() > 80.0, "{:?}", report.novel_view_foreground_psnr);
+}
+
+#[test]
+fn views_without_a_pixel_of_the_object_are_not_compared() {
+    let model = Arc::new(model());
+    let mut capture = drawn_by(&model);
+    let before = measured(&model, &capture);
+    let pixels = |view: &CaptureView| view.image.pixels().filter(|p| p[3] > 0.5).count() as u64;
+    assert_eq!(before.foreground_pixels, capture.test.iter().map(pixels).sum::<u64>());
+    let all = 3.0 * f64::from(SIDE * SIDE);
+    assert!((before.foreground_share.unwrap() - before.foreground_pixels as f64 / all).abs() < 1e-12);
+    let empty = ImageRgba { width: SIDE, height: SIDE, pixels: vec![[0.0; 4]; (SIDE * SIDE) as usize] };
+    capture.test[1].image = PackedImage::new(&empty, BitDepth::Eight);
+    let dropped = pixels(&capture.test[0]) + pixels(&capture.test[2]);
+    let after = measured(&model, &capture);
+    assert_eq!((after.views, after.foreground_pixels), (2, dropped));
+    capture.test.truncate(2);
+    capture.test.remove(0);
+    let options = EvalOptions { frame_rate_time: Duration::ZERO, ..EvalOptions::default() };
+    let refused = evaluate(model, &capture, &options);
+    assert!(matches!(refused, Err(EvalError::NoTestViews)), "an empty mask gives no score: {refused:?}");
 }
 
 #[test]

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Deserialize;
 
 pub use crate::cli::args::QualityArgs;
 use crate::cli::error::CommandResult;
@@ -11,6 +12,8 @@ use crate::cli::light::read_rotations;
 use crate::cli::{input, output};
 use relume_capture::{Capture, ImportOptions, import};
 use relume_engine::{Device, DeviceChoice};
+use relume_scene::Model;
+use relume_spec::training::UpAxis;
 use relume_train::eval::{EvalOptions, Lpips, contact_sheet, evaluate};
 
 /// Side of a cell of the contact sheet, pixels.
@@ -63,7 +66,7 @@ pub fn run(args: &EvalArgs) -> CommandResult {
     [&args.json, &args.markdown, &args.sheet].into_iter().flatten().try_for_each(|f| make_folder(f))?;
     let model = Arc::new(input::read_model(&args.model)?);
     let lpips = args.lpips.as_deref().map(Lpips::read).transpose()?;
-    let capture = load_capture(args)?;
+    let capture = load_capture(args, &model)?;
 
     let bar = progress_bar();
     let progress = |done: usize, total: usize| {
@@ -98,8 +101,10 @@ pub fn run(args: &EvalArgs) -> CommandResult {
     Ok(())
 }
 
-fn load_capture(args: &EvalArgs) -> CommandResult<Capture> {
-    let options = ImportOptions { max_side: args.resolution, ..ImportOptions::default() };
+/// The capture in the world of the model.
+fn load_capture(args: &EvalArgs, model: &Model) -> CommandResult<Capture> {
+    let up = model.card.pointer("/config/up").map_or(Ok(UpAxis::Auto), UpAxis::deserialize)?;
+    let options = ImportOptions { max_side: args.resolution, up, ..ImportOptions::default() };
     let mut capture = import(&args.capture, &options)?;
     if let Some(file) = &args.light_rotations {
         capture.set_light_rotations(&read_rotations(file)?)?;

@@ -19,6 +19,7 @@ use crate::store::{StoreError, hex};
 use relume_api::CaptureId;
 use relume_api::cameras::{CameraConvention, CameraSpec, CaptureCameras, CapturedCamera};
 use relume_capture::{self, CaptureError, ImportLimits, PhotoCamera};
+use relume_spec::training::UpAxis;
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
@@ -34,6 +35,11 @@ pub struct CamerasQuery {
     #[serde(default)]
     #[param(value_type = Option<String>, pattern = "^(opengl|opencv|colmap)$")]
     pub convention: CameraConvention,
+    /// Direction in the files of the capture that is up: the training setting `up` of the model that is rendered with the cameras.
+    /// Omitted: `auto`.
+    #[serde(default)]
+    #[param(value_type = Option<String>, pattern = "^(auto|-?[xyz])$")]
+    pub up: UpAxis,
 }
 
 /// List the cameras of a capture
@@ -55,12 +61,12 @@ async fn get_cameras(
     State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<CaptureId>,
-    QueryString(CamerasQuery { convention }): QueryString<CamerasQuery>,
+    QueryString(CamerasQuery { convention, up }): QueryString<CamerasQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let missing = || Problem::not_found("capture", id.as_str());
     let record = app.store.capture(&caller.tenant, &id).await?.ok_or_else(missing)?;
-    let identity = format!("{}|{}|{convention:?}", env!("CARGO_PKG_VERSION"), record.sha256);
+    let identity = format!("{}|{}|{convention:?}|{up:?}", env!("CARGO_PKG_VERSION"), record.sha256);
     let tag = etag(&hex(&Sha256::digest(identity)));
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
@@ -73,7 +79,7 @@ async fn get_cameras(
             sound => sound?,
         }
         let path = app.store.artifacts().local_path(&record.artifact);
-        let read = move || relume_capture::cameras(&path, &ImportLimits::default());
+        let read = move || relume_capture::cameras(&path, &ImportLimits::default(), up);
         let failed = |error: CaptureError| match error.is_users_fault() {
             true => Problem::internal(error),
             false => Problem::storage_failed(error),

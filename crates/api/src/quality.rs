@@ -13,6 +13,10 @@ pub struct Figures {
     pub views: usize,
     /// Number of held-out views of the capture.
     pub held_out_views: usize,
+    /// Number of pixels of the object in the compared views: those inside the masks, without masks all. The
+    /// figures also count the white background.
+    #[serde(default)]
+    pub foreground_pixels: u64,
     /// Figures of the physically based branch under the recovered light.
     #[serde(default)]
     pub novel_view: Similarity,

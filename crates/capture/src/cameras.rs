@@ -2,10 +2,13 @@
 
 use std::path::Path;
 
+use glam::DMat4;
 use rayon::prelude::*;
+use relume_spec::training::UpAxis;
 
 use crate::photos::{self, PhotoEntry, Split};
 use crate::truth::TruthFiles;
+use crate::upright::{StatedUp, upright};
 use crate::{CaptureError, CaptureFiles, ImportLimits, colmap, import, transforms};
 use relume_scene::Camera;
 
@@ -23,13 +26,13 @@ pub struct PhotoCamera {
 }
 
 /// The cameras of a folder, zip, tar or tar.gz, in the order in which the layout names them. They are those of
-/// [`crate::import`] at full resolution. Only the headers of the images are decoded.
+/// [`crate::import`] at full resolution, with the same `up`. Only the headers of the images are decoded.
 ///
 /// # Errors
 /// [`CaptureError`] names the file and field at fault.
-pub fn cameras(path: &Path, limits: &ImportLimits) -> Result<Vec<PhotoCamera>, CaptureError> {
+pub fn cameras(path: &Path, limits: &ImportLimits, up: UpAxis) -> Result<Vec<PhotoCamera>, CaptureError> {
     let source = CaptureFiles::open(path, limits)?;
-    let (_, photos, _) = import::read_layout(&source, &mut Vec::new())?;
+    let (_, photos, _) = import::read_layout(&source, up, &mut Vec::new())?;
     of_photos(&source, &photos)
 }
 
@@ -50,7 +53,8 @@ pub(super) fn of_photos(
     described.collect()
 }
 
-/// The cameras that a `transforms*.json` states, without its photographs, in the order of its frames.
+/// The cameras that a `transforms*.json` states, without its photographs, in the order of its frames. The world is rotated as that
+/// of a capture with these frames.
 ///
 /// # Errors
 /// [`CaptureError`] names the field at fault; `w,h` where the file states no size and `size` is none.
@@ -60,10 +64,12 @@ pub fn cameras_of_transforms(
     size: Option<(u32, u32)>,
 ) -> Result<Vec<PhotoCamera>, CaptureError> {
     let set = transforms::parse(file, bytes, &ImportLimits::default())?;
+    let poses: Vec<_> = set.frames.iter().map(|frame| frame.pose).collect();
+    let turn = DMat4::from_quat(upright(&poses, UpAxis::Auto, StatedUp::PlusZ, &mut Vec::new()));
     let photos = set.frames.into_iter().map(|frame| PhotoEntry {
         image: frame.path,
         mask: None,
-        pose: frame.pose,
+        pose: turn * frame.pose,
         lens: frame.lens,
         light_rotation_deg: frame.light_rotation_deg,
         stated_in: file.to_owned(),
@@ -84,7 +90,7 @@ pub fn cameras_of_colmap(path: &Path, limits: &ImportLimits) -> Result<Vec<Photo
     let reason = "has no COLMAP model (cameras and images, .bin or .txt)".to_owned();
     let files = colmap::find(&source)
         .ok_or_else(|| CaptureError::File { file: source.label().to_owned(), reason })?;
-    let mut photos = colmap::stated(&source, files, &mut Vec::new())?;
+    let mut photos = colmap::stated(&source, &files, UpAxis::Auto, &mut Vec::new())?;
     photos.sort_by(|a, b| a.image.cmp(&b.image));
     photos.into_iter().map(|photo| stated_camera(photo, None)).collect()
 }

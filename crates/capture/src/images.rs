@@ -102,9 +102,10 @@ fn turn(bytes: &[u8], stored: (u32, u32), lens_size: Option<(f64, f64)>) -> Opti
 /// Whether an image has the aspect ratio of the lens only with swapped sides.
 fn fits_only_turned((width, height): (u32, u32), lens_size: Option<(f64, f64)>) -> bool {
     let Some((lens_width, lens_height)) = lens_size else { return false };
+    // The size of the lens may be approximate.
     let fits = |width: u32, height: u32| {
         let ratio = lens_width / lens_height * f64::from(height) / f64::from(width);
-        (ratio - 1.0).abs() <= 0.02
+        (ratio - 1.0).abs() <= 0.1
     };
     !fits(width, height) && fits(height, width)
 }

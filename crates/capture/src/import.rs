@@ -3,13 +3,17 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use glam::DVec3;
+
 use crate::check::{Finding, ImageChecks};
 use crate::formats::ply_points::Point;
+use crate::layout::{self, FoundLayout};
 use crate::photos::{self, PhotoEntry, Split};
 use crate::{
-    Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, blender, bounds, colmap, images, llff,
-    masks, nerfstudio, rig, truth,
+    Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, PhotoCamera, blender, bounds, cameras,
+    colmap, identical, images, llff, masks, nerfstudio, polycam, rig, truth,
 };
+use relume_spec::training::UpAxis;
 use relume_spec::{CaptureReport, PhotographNote};
 
 /// One in this many views, by sorted name, is held out where the set names no test views.
@@ -43,8 +47,8 @@ impl UndecodedCapture {
     pub fn open(path: &Path, options: &ImportOptions) -> Result<Self, CaptureError> {
         let source = CaptureFiles::open(path, &options.limits)?;
         let mut warnings = Vec::new();
-        let mut layout = read_layout(&source, &mut warnings)?;
-        rig::check(&layout.1, &mut warnings)?;
+        let mut layout = read_layout(&source, options.up, &mut warnings)?;
+        rig::check(&layout.1, &layout.2, &mut warnings)?;
         masks::find(&source, &mut layout.1, &mut warnings);
         let sizes = photos::sizes(&source, &layout.1, options)?;
         Ok(Self { source, options: *options, layout, warnings, sizes, decoded: BTreeMap::new() })
@@ -54,6 +58,19 @@ impl UndecodedCapture {
     /// cannot be read are left out.
     pub fn sizes(&self) -> &[(u32, u32)] {
         &self.sizes
+    }
+
+    /// The cameras of the photographs at their stored size, in the order of the layout.
+    ///
+    /// # Errors
+    /// As [`import`].
+    pub fn cameras(&self) -> Result<Vec<PhotoCamera>, CaptureError> {
+        cameras::of_photos(&self.source, &self.layout.1)
+    }
+
+    /// Positions of the sparse points.
+    pub fn points(&self) -> impl Iterator<Item = DVec3> {
+        self.layout.2.iter().map(|(position, _)| *position)
     }
 
     /// How many photographs are held out.
@@ -97,6 +114,7 @@ impl UndecodedCapture {
         let views: Vec<_> =
             (0..photos.len()).filter_map(|i| decoded.remove(&i).or_else(|| loaded.next())).collect();
         warnings.extend(masks::check(&views)?);
+        warnings.extend(identical::check(&views, &splits(&photos)));
         let (train, test) = split(&photos, views);
         let has_alpha = train.iter().any(|v| !v.image.is_opaque());
         let bounds = bounds::bounds(&train, &points, has_alpha);
@@ -126,12 +144,15 @@ impl UndecodedCapture {
 pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, CaptureError> {
     let image_checks = ImageChecks::default();
     let undecoded = UndecodedCapture::open(path, &ImportOptions { max_side: Some(THUMBNAIL), ..*options })?;
+    let lenses: BTreeMap<String, _> =
+        undecoded.layout.1.iter().map(|photo| (photo.image.clone(), photo.lens.approximate_size())).collect();
     let (capture, source) = undecoded.decode_and_check(Some(&image_checks))?;
     let mut report = capture.report();
     let noted = |finding: Finding| PhotographNote { text: finding.text, photographs: finding.photos };
     report.notes = image_checks.findings().into_iter().map(noted).collect();
     if let Some(view) = capture.train.first() {
-        (report.width, report.height) = images::dimensions(&source, &view.name)?;
+        let lens_size = lenses.get(&view.name).copied().flatten();
+        (report.width, report.height) = images::photo_size(&source, &view.name, lens_size)?;
     }
     Ok(report)
 }
@@ -143,43 +164,42 @@ const THUMBNAIL: u32 = 64;
 pub(super) type Layout = (String, Vec<PhotoEntry>, Vec<Point>);
 
 /// Reads the poses of any layout. Each photograph occurs once.
-pub(super) fn read_layout(source: &CaptureFiles, warnings: &mut Vec<String>) -> Result<Layout, CaptureError> {
-    let mut layout = read_any_layout(source, warnings)?;
+pub(super) fn read_layout(
+    source: &CaptureFiles,
+    up: UpAxis,
+    warnings: &mut Vec<String>,
+) -> Result<Layout, CaptureError> {
+    let mut layout = read_any_layout(source, up, warnings)?;
     rig::remove_repeated(&mut layout.1, warnings)?;
     Ok(layout)
 }
 
-fn read_any_layout(source: &CaptureFiles, warnings: &mut Vec<String>) -> Result<Layout, CaptureError> {
-    if source.contains(blender::MARKER) {
-        let photos = blender::read(source, warnings)?;
-        let in_own_folders = photos.iter().all(|p| p.image.contains("/rgba"));
-        let layout = if in_own_folders { "tensoir" } else { "nerf-synthetic" };
-        return Ok((layout.to_owned(), photos, Vec::new()));
-    }
-    if source.contains(nerfstudio::MARKER) {
-        let (photos, points) = nerfstudio::read(source, warnings)?;
-        return Ok(("nerfstudio".to_owned(), photos, points));
-    }
-    if let Some(files) = colmap::find(source) {
-        let (photos, points) = colmap::read(source, files, warnings)?;
-        return Ok(("colmap".to_owned(), photos, points));
-    }
-    if source.contains(llff::MARKER) {
-        return Ok(("llff".to_owned(), llff::read(source, warnings)?, Vec::new()));
-    }
-    let first: Vec<&str> = source.paths().take(5).collect();
-    let reason = if first.is_empty() {
-        "the capture has no files".to_owned()
-    } else {
-        format!("the first files are {}", first.join(", "))
+fn read_any_layout(
+    source: &CaptureFiles,
+    up: UpAxis,
+    warnings: &mut Vec<String>,
+) -> Result<Layout, CaptureError> {
+    let Some(found) = layout::find(source)? else {
+        let first: Vec<&str> = source.paths().take(5).collect();
+        let reason = if first.is_empty() {
+            "the capture has no files".to_owned()
+        } else {
+            format!("the first files are {}", first.join(", "))
+        };
+        return Err(CaptureError::UnknownLayout { reason });
     };
-    Err(CaptureError::UnknownLayout { reason })
-}
-
-/// Whether a layout is present, valid or not.
-pub(super) fn has_layout(source: &CaptureFiles) -> bool {
-    let markers = [blender::MARKER, nerfstudio::MARKER, llff::MARKER];
-    markers.iter().any(|marker| source.contains(marker)) || colmap::find(source).is_some()
+    let (name, (photos, points)) = match found {
+        FoundLayout::Blender(marker) => {
+            let photos = blender::read(source, &marker, up, warnings)?;
+            let in_own_folders = photos.iter().all(|p| p.image.contains("/rgba"));
+            (if in_own_folders { "tensoir" } else { "nerf-synthetic" }, (photos, Vec::new()))
+        }
+        FoundLayout::Nerfstudio(marker) => ("nerfstudio", nerfstudio::read(source, &marker, up, warnings)?),
+        FoundLayout::Colmap(files) => ("colmap", colmap::read(source, &files, up, warnings)?),
+        FoundLayout::Llff(marker) => ("llff", (llff::read(source, &marker, up, warnings)?, Vec::new())),
+        FoundLayout::Polycam(folders) => ("polycam", polycam::read(source, &folders, up, warnings)?),
+    };
+    Ok((name.to_owned(), photos, points))
 }
 
 /// The use of each photograph: as the set states, else every [`HOLD_OUT_EVERY`]th by sorted name is held out.

@@ -2,13 +2,18 @@
 
 use serde::de::DeserializeOwned;
 
-use crate::CaptureError;
+use crate::{CaptureError, text};
 
 /// Parses JSON. An error names the file and, where it can be found, the last key before the error.
 ///
 /// # Errors
 /// [`CaptureError::Field`] with that key, else [`CaptureError::File`].
 pub(super) fn parse_json<T: DeserializeOwned>(file: &str, bytes: &[u8]) -> Result<T, CaptureError> {
+    let Some(text) = text::decode(bytes) else {
+        let reason = "is not UTF-8 text".to_owned();
+        return Err(CaptureError::File { file: file.to_owned(), reason });
+    };
+    let bytes = text.as_bytes();
     serde_json::from_slice(bytes).map_err(|error| {
         let before = error_offset(bytes, &error);
         let hint = python_float_at(bytes, before).map_or(String::new(), |token| {

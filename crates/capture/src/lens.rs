@@ -1,36 +1,7 @@
 //! Intrinsics as capture files state them, and their conversion to the size of an image.
 
 use crate::CaptureError;
-
-/// Lens distortion.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Distortion {
-    /// No distortion: a pinhole.
-    None,
-    /// Brown-Conrady: radial `k1 k2 k3 k4`, tangential `p1 p2` (OpenCV's and COLMAP's definition).
-    RadialTangential {
-        /// Radial coefficients of r^2, r^4, r^6, r^8.
-        k: [f64; 4],
-        /// Tangential coefficients.
-        p: [f64; 2],
-    },
-    /// Equidistant fisheye with `theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)`.
-    Fisheye {
-        /// Coefficients of theta^2, theta^4, theta^6, theta^8.
-        k: [f64; 4],
-    },
-}
-
-impl Distortion {
-    /// The same lens; [`Distortion::None`] when all coefficients are 0.
-    #[must_use]
-    pub fn simplified(self) -> Self {
-        match self {
-            Self::RadialTangential { k: [0.0, 0.0, 0.0, 0.0], p: [0.0, 0.0] } => Self::None,
-            other => other,
-        }
-    }
-}
+use crate::distortion::Distortion;
 
 /// Intrinsics; fields that a capture file may omit are optional.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,6 +28,13 @@ pub struct Intrinsics {
 }
 
 impl Lens {
+    /// The size of the image for which the lens is stated, pixels; without it twice the principal point, which is close to the
+    /// middle. `None` if neither is stated.
+    pub(super) fn approximate_size(&self) -> Option<(f64, f64)> {
+        let [cx, cy] = self.centre;
+        self.size.or_else(|| Some((2.0 * cx?, 2.0 * cy?)))
+    }
+
     /// The intrinsics scaled to an image of `(width, height)` pixels.
     ///
     /// # Errors
@@ -69,7 +47,10 @@ impl Lens {
             return Err(bad("w,h", format!("{}x{} is not an image size", stated.0, stated.1)));
         }
         let scale = (image.0 / stated.0, image.1 / stated.1);
-        if (scale.0 / scale.1 - 1.0).abs() > 0.02 {
+        // A reduced image has sides that were rounded to whole pixels.
+        let rounding = (image.0 - stated.0 * scale.1).abs().min((image.1 - stated.1 * scale.0).abs());
+        let is_rounded = width.min(height) >= 16 && rounding <= 1.0;
+        if (scale.0 / scale.1 - 1.0).abs() > 0.02 && !is_rounded {
             let reason = format!("{}x{} does not fit an image of {width}x{height}", stated.0, stated.1);
             return Err(bad("w,h", reason));
         }
@@ -112,7 +93,7 @@ impl Lens {
         let is_small = |value: f64, side: f64| value.abs() <= 2.0 && side >= 16.0;
         let fov = |focal: f64, side: f64| (2.0 * (0.5 * side / focal).atan()).to_degrees();
         let widest = fov(focal.0, size.0).max(fov(focal.1, size.1));
-        let is_fisheye = matches!(self.distortion, Distortion::Fisheye { .. });
+        let is_fisheye = self.distortion.is_fisheye();
         if !is_fisheye && !FIELD_OF_VIEW.contains(&widest) {
             let field = if self.focal[0].is_some() { "fl_x,fl_y" } else { "camera_angle_x" };
             let cause = match (self.focal[0].is_some_and(|f| is_small(f, size.0)), widest < 2.0) {

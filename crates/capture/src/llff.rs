@@ -1,12 +1,15 @@
 //! LLFF: `poses_bounds.npy` beside `images/`, one row for each photograph in the order of their names.
 
 use glam::{DMat3, DMat4, DVec3};
+use relume_spec::training::UpAxis;
 
-use crate::lens::{Distortion, Lens};
-use crate::photos::{PhotoEntry, Split, check_missing};
+use crate::distortion::Distortion;
+use crate::lens::Lens;
+use crate::photo_finder::PhotoFinder;
+use crate::photos::{PhotoEntry, Split};
 use crate::truth::TruthFiles;
-use crate::upright::upright;
-use crate::{CaptureError, CaptureFiles, masks};
+use crate::upright::{StatedUp, upright};
+use crate::{CaptureError, CaptureFiles, layout, masks};
 
 /// The file that marks this layout.
 pub(super) const MARKER: &str = "poses_bounds.npy";
@@ -21,17 +24,21 @@ const COLUMNS: usize = 17;
 /// Names the row at fault, or says that the numbers of poses and photographs differ.
 pub(super) fn read(
     source: &CaptureFiles,
+    marker: &str,
+    up: UpAxis,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<PhotoEntry>, CaptureError> {
-    let rows = rows(&source.read(MARKER)?).map_err(|reason| file_error(&reason))?;
-    let images = images(source);
+    let file_error = |reason: String| CaptureError::File { file: marker.to_owned(), reason };
+    let rows = rows(&source.read(marker)?).map_err(file_error)?;
+    let images = images(source, &layout::folder_of(marker));
     if images.len() != rows.len() {
         let reason = format!("has {} poses for {} images in images/", rows.len(), images.len());
-        return Err(file_error(&reason));
+        return Err(file_error(reason));
     }
-    check_missing(MARKER, images.len(), Vec::new(), warnings)?;
-    let poses = rows.iter().enumerate().map(|(i, row)| pose(i, row)).collect::<Result<Vec<_>, _>>()?;
-    let turn = DMat4::from_quat(upright(poses.iter().map(|pose| pose.y_axis.truncate()), "LLFF", warnings));
+    PhotoFinder::new(source, Vec::new()).finish(marker, images.len(), warnings)?;
+    let poses =
+        rows.iter().enumerate().map(|(i, row)| pose(marker, i, row)).collect::<Result<Vec<_>, _>>()?;
+    let turn = DMat4::from_quat(upright(&poses, up, StatedUp::No("LLFF"), warnings));
     let photo = |(i, ((image, row), pose)): (usize, ((String, &[f64; COLUMNS]), DMat4))| {
         let [height, width, focal] = [row[4], row[9], row[14]];
         PhotoEntry {
@@ -46,7 +53,7 @@ pub(super) fn read(
                 distortion: Distortion::None,
             },
             light_rotation_deg: 0.0,
-            stated_in: MARKER.to_owned(),
+            stated_in: marker.to_owned(),
             field: format!("[{i}]"),
             split: Split::Train,
             truth: TruthFiles::default(),
@@ -55,37 +62,34 @@ pub(super) fn read(
     Ok(images.into_iter().zip(&rows).zip(poses).enumerate().map(photo).collect())
 }
 
-fn file_error(reason: &str) -> CaptureError {
-    CaptureError::File { file: MARKER.to_owned(), reason: reason.to_owned() }
-}
-
-/// The photographs by name.
-fn images(source: &CaptureFiles) -> Vec<String> {
+/// The photographs in the folders of `root`, by name.
+fn images(source: &CaptureFiles, root: &str) -> Vec<String> {
     let is_photo = |path: &&str| {
         let lower = path.to_ascii_lowercase();
         [".jpg", ".jpeg", ".png"].iter().any(|ending| lower.ends_with(ending))
     };
     let of = |folder: &&str| {
-        let photos = masks::separate(source.paths_under(folder).filter(is_photo));
+        let folder = format!("{root}{folder}");
+        let photos = masks::separate(source.paths_under(&folder).filter(is_photo));
         photos.into_iter().map(str::to_owned).collect::<Vec<_>>()
     };
     IMAGE_FOLDERS.iter().map(of).find(|images| !images.is_empty()).unwrap_or_default()
 }
 
 /// Camera-to-world, OpenGL axes. A row has the camera's down, right and backwards axes and its centre as columns.
-fn pose(index: usize, row: &[f64; COLUMNS]) -> Result<DMat4, CaptureError> {
+fn pose(marker: &str, index: usize, row: &[f64; COLUMNS]) -> Result<DMat4, CaptureError> {
     let column = |k: usize| DVec3::new(row[k], row[5 + k], row[10 + k]);
     let [down, right, back, centre] = [0, 1, 2, 3].map(column);
     let axes = DMat3::from_cols(right, -down, back);
     if !(axes.is_finite() && centre.is_finite() && axes.determinant() > 1e-9) {
-        return Err(CaptureError::at_field(MARKER, format!("[{index}]"), "is not a valid pose"));
+        return Err(CaptureError::at_field(marker, format!("[{index}]"), "is not a valid pose"));
     }
     let mut pose = DMat4::from_mat3(axes);
     pose.w_axis = centre.extend(1.0);
     Ok(pose)
 }
 
-/// The rows of an array of 17 little-endian f64 columns in NumPy's file format.
+/// The rows of an array of 17 columns of little-endian floats in NumPy's file format.
 fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
     let cut = || "is truncated".to_owned();
     let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("is not an .npy file")?;
@@ -102,22 +106,34 @@ fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
     };
     let (header, data) = rest.split_at_checked(length).ok_or_else(cut)?;
     let header = String::from_utf8_lossy(header).replace(' ', "");
-    if !header.contains("'descr':'<f8'") || !header.contains("'fortran_order':False") {
-        return Err("must contain little-endian 64-bit floats in row-major order".to_owned());
+    let is_double = header.contains("'descr':'<f8'");
+    if !(is_double || header.contains("'descr':'<f4'")) || !header.contains("'fortran_order':False") {
+        return Err(
+            "must contain little-endian 32-bit or 64-bit floats in row-major order; store it again with \
+                    np.ascontiguousarray(poses, dtype='<f8')"
+                .to_owned(),
+        );
     }
     let shape = header.split_once("'shape':(").and_then(|(_, rest)| rest.split_once(')'));
     let shape: Vec<&str> = shape.map(|(shape, _)| shape.split(',').collect()).unwrap_or_default();
     let [count, "17"] = shape[..] else {
         return Err(format!("must have 17 columns; its shape is ({})", shape.join(",")));
     };
-    let (values, rest) = data.as_chunks::<8>();
-    if !rest.is_empty()
-        || Some(values.len()) != count.parse().ok().and_then(|n: usize| n.checked_mul(COLUMNS))
-    {
-        return Err("contains another number of values than its header states".to_owned());
-    }
-    let values: Vec<f64> = values.iter().map(|value| f64::from_le_bytes(*value)).collect();
+    let values = if is_double {
+        floats(data, f64::from_le_bytes)
+    } else {
+        floats(data, |v| f32::from_le_bytes(v).into())
+    };
+    let stated = count.parse().ok().and_then(|n: usize| n.checked_mul(COLUMNS));
+    let values = values.filter(|values| Some(values.len()) == stated);
+    let values = values.ok_or("contains another number of values than its header states")?;
     Ok(values.as_chunks::<COLUMNS>().0.to_vec())
+}
+
+/// The values of an array; `None` if its last value is incomplete.
+fn floats<const N: usize>(data: &[u8], value: impl Fn([u8; N]) -> f64) -> Option<Vec<f64>> {
+    let (values, rest) = data.as_chunks::<N>();
+    rest.is_empty().then(|| values.iter().map(|bytes| value(*bytes)).collect())
 }
 
 #[cfg(test)]
@@ -183,8 +199,19 @@ mod tests {
         assert!(rows(&good[..good.len() - 1]).is_err() && rows(&good[..9]).is_err() && rows(b"PK").is_err());
         assert!(rows(&npy("1, 16", &[0.5; 16])).unwrap_err().contains("17"));
         assert!(rows(&npy("9, 17", &[0.5; 17])).is_err());
-        let single = String::from_utf8_lossy(&good).replace("<f8", "<f4").into_bytes();
-        assert!(rows(&single).is_err());
-        assert!(pose(0, &[0.0; 17]).is_err() && pose(0, &[f64::NAN; 17]).is_err());
+        let relabel = |array: &[u8], kind: &[u8; 3]| {
+            let at = array.windows(3).position(|part| part == b"<f8").unwrap();
+            [&array[..at], kind, &array[at + 3..]].concat()
+        };
+        let relabelled = |kind: &[u8; 3]| relabel(&good, kind);
+        assert!(
+            rows(&relabelled(b"<f4")).unwrap_err().contains("number of values"),
+            "half as many values as 64-bit floats"
+        );
+        assert!(rows(&relabelled(b">f8")).unwrap_err().contains("ascontiguousarray"));
+        let header = relabel(&npy("1, 17", &[]), b"<f4");
+        let values = [0.25f32; 17].iter().flat_map(|v| v.to_le_bytes());
+        assert_eq!(rows(&header.into_iter().chain(values).collect::<Vec<_>>()).unwrap(), [[0.25; 17]]);
+        assert!(pose(MARKER, 0, &[0.0; 17]).is_err() && pose(MARKER, 0, &[f64::NAN; 17]).is_err());
     }
 }

@@ -1,5 +1,7 @@
 //! Limits and options of an import.
 
+use relume_spec::training::UpAxis;
+
 use crate::formats::image_file;
 
 /// Bounds on what an import accepts, since archives are untrusted.
@@ -52,11 +54,13 @@ pub struct ImportOptions {
     pub limits: ImportLimits,
     /// Load ground-truth layers of test views and the lights they name.
     pub load_truth: bool,
+    /// Direction in the files that is up.
+    pub up: UpAxis,
 }
 
 impl Default for ImportOptions {
     fn default() -> Self {
-        Self { max_side: None, limits: ImportLimits::default(), load_truth: true }
+        Self { max_side: None, limits: ImportLimits::default(), load_truth: true, up: UpAxis::Auto }
     }
 }
 

@@ -6,6 +6,7 @@ use crate::cameras::{self, PhotoCamera};
 use crate::photos::{self, PhotoEntry};
 use crate::{CaptureError, CaptureFiles, ImportLimits, ImportOptions, images, import};
 use relume_scene::ImageRgba;
+use relume_spec::training::UpAxis;
 
 /// Upper bound on the bytes of a pixel of a decoded file: floats with alpha.
 const STORED_PIXEL: u64 = 16;
@@ -35,7 +36,7 @@ impl CapturePhotos {
     /// [`CaptureError`] names the file and field at fault.
     pub fn open(path: &Path, limits: &ImportLimits) -> Result<Self, CaptureError> {
         let source = CaptureFiles::open(path, limits)?;
-        let (_, photos, _) = import::read_layout(&source, &mut Vec::new())?;
+        let (_, photos, _) = import::read_layout(&source, UpAxis::Auto, &mut Vec::new())?;
         Ok(Self { source, photos })
     }
 
@@ -63,7 +64,7 @@ impl CapturePhotos {
     /// As [`Self::picture`].
     pub fn picture_bytes(&self, name: &str, options: &PictureOptions) -> Result<u64, CaptureError> {
         let photo = self.find(name)?;
-        let stored = images::photo_size(&self.source, name, photo.lens.size)?;
+        let stored = images::photo_size(&self.source, name, photo.lens.approximate_size())?;
         let shown = reduction(options, stored).reduced_size(stored);
         let pixels = |(width, height): (u32, u32)| u64::from(width) * u64::from(height);
         Ok(pixels(stored) * STORED_PIXEL + pixels(shown) * PICTURE_PIXEL)
@@ -75,7 +76,7 @@ impl CapturePhotos {
     /// [`CaptureError::File`] if the capture has no photograph of this name; else names the unusable file or field.
     pub fn picture(&self, name: &str, options: &PictureOptions) -> Result<ImageRgba, CaptureError> {
         let photo = self.find(name)?;
-        let stored = images::photo_size(&self.source, name, photo.lens.size)?;
+        let stored = images::photo_size(&self.source, name, photo.lens.approximate_size())?;
         let limits = *self.source.limits();
         let reduced = ImportOptions { limits, ..reduction(options, stored) };
         photos::picture(&self.source, photo, &reduced, options.undistorted)

@@ -4,9 +4,9 @@ use glam::DMat4;
 use rayon::prelude::*;
 
 use crate::check::ImageChecks;
-use crate::error::name_list;
+use crate::distortion::Distortion;
 use crate::images::{Loaded, dimensions, load_photo, photo_size};
-use crate::lens::{Distortion, Intrinsics, Lens};
+use crate::lens::{Intrinsics, Lens};
 use crate::masks::{self, MaskFile};
 use crate::truth::TruthFiles;
 use crate::{CaptureError, CaptureFiles, CaptureView, GroundTruthView, ImportOptions, undistort};
@@ -42,48 +42,6 @@ pub(super) enum Split {
     Train,
     /// Evaluation: the set itself holds the photograph out.
     Test,
-}
-
-/// Least number of photographs in a capture.
-pub(super) const MIN_IMAGES: usize = 3;
-
-/// Adds a warning that names the listed images that are absent.
-///
-/// # Errors
-/// [`CaptureError::TooFewImages`] when fewer than [`MIN_IMAGES`] remain.
-pub(super) fn check_missing(
-    file: &str,
-    usable: usize,
-    missing: Vec<String>,
-    warnings: &mut Vec<String>,
-) -> Result<(), CaptureError> {
-    if usable < MIN_IMAGES {
-        return Err(CaptureError::TooFewImages {
-            file: file.to_owned(),
-            usable,
-            required: MIN_IMAGES,
-            missing,
-        });
-    }
-    if !missing.is_empty() {
-        warnings.push(format!(
-            "{file} names {} images that are missing; {usable} remain: {}",
-            missing.len(),
-            name_list(&missing)
-        ));
-    }
-    Ok(())
-}
-
-/// The image that a `file_path` refers to: the path as written, or with a file extension or the name of a light
-/// added.
-pub(super) fn locate(source: &CaptureFiles, path: &str) -> Option<String> {
-    if source.contains(path) {
-        return Some(path.to_owned());
-    }
-    const ENDINGS: [&str; 9] =
-        [".png", ".jpg", ".jpeg", ".webp", ".exr", ".JPG", ".PNG", "_sunset.png", "_sunset_000.png"];
-    ENDINGS.iter().map(|e| format!("{path}{e}")).find(|p| source.contains(p))
 }
 
 /// Loads the photographs in parallel and passes each to `image_checks`. The order of the views and the error that is
@@ -130,7 +88,7 @@ fn load_one(
     image_checks: Option<&ImageChecks>,
 ) -> Result<CaptureView, CaptureError> {
     let Loaded { mut image, stored, depth } = match image_checks {
-        None => load_photo(source, &photo.image, photo.lens.size, options)?,
+        None => load_photo(source, &photo.image, photo.lens.approximate_size(), options)?,
         Some(image_checks) => load_and_check(source, photo, options, image_checks)?,
     };
     if let Some(mask) = &photo.mask {
@@ -156,7 +114,7 @@ fn load_and_check(
 ) -> Result<Loaded, CaptureError> {
     let side = options.max_side.map_or(ImageChecks::SIDE, |side| side.max(ImageChecks::SIDE));
     let larger = ImportOptions { max_side: Some(side), ..*options };
-    let loaded = load_photo(source, &photo.image, photo.lens.size, &larger)?;
+    let loaded = load_photo(source, &photo.image, photo.lens.approximate_size(), &larger)?;
     image_checks.add(&photo.image, &loaded.image, loaded.stored);
     let (width, height) = options.reduced_size(loaded.stored);
     Ok(Loaded { image: loaded.image.resized(width, height), ..loaded })
@@ -172,7 +130,8 @@ pub(super) fn picture(
     options: &ImportOptions,
     straight: bool,
 ) -> Result<ImageRgba, CaptureError> {
-    let Loaded { image, stored, .. } = load_photo(source, &photo.image, photo.lens.size, options)?;
+    let Loaded { image, stored, .. } =
+        load_photo(source, &photo.image, photo.lens.approximate_size(), options)?;
     if straight { Ok(undistorted(photo, stored, image)?.1) } else { Ok(image) }
 }
 
@@ -182,7 +141,7 @@ fn undistorted(
     stored: (u32, u32),
     image: ImageRgba,
 ) -> Result<(Camera, ImageRgba), CaptureError> {
-    let intrinsics = photo.lens.resolve(&photo.stated_in, stored)?;
+    let intrinsics = intrinsics(photo, stored)?;
     let camera = camera(photo, intrinsics, stored)?.resized(image.width, image.height);
     match photo.lens.distortion {
         Distortion::None => Ok((camera, image)),
@@ -197,7 +156,7 @@ fn undistorted(
 /// # Errors
 /// Names the image, or the file and field of an unusable pose or lens.
 pub(super) fn stored_camera(source: &CaptureFiles, photo: &PhotoEntry) -> Result<Camera, CaptureError> {
-    camera_at(photo, photo_size(source, &photo.image, photo.lens.size)?)
+    camera_at(photo, photo_size(source, &photo.image, photo.lens.approximate_size())?)
 }
 
 /// The camera of a photograph of `stored` pixels, distortion removed.
@@ -205,11 +164,21 @@ pub(super) fn stored_camera(source: &CaptureFiles, photo: &PhotoEntry) -> Result
 /// # Errors
 /// Names the file and field of an unusable pose or lens.
 pub(super) fn camera_at(photo: &PhotoEntry, stored: (u32, u32)) -> Result<Camera, CaptureError> {
-    let camera = camera(photo, photo.lens.resolve(&photo.stated_in, stored)?, stored)?;
+    let camera = camera(photo, intrinsics(photo, stored)?, stored)?;
     match photo.lens.distortion {
         Distortion::None => Ok(camera),
         distortion => undistort::pinhole(&camera, &distortion).map_err(|reason| bent(photo, reason)),
     }
+}
+
+/// The intrinsics at the stored size. An error also names the photograph.
+fn intrinsics(photo: &PhotoEntry, stored: (u32, u32)) -> Result<Intrinsics, CaptureError> {
+    photo.lens.resolve(&photo.stated_in, stored).map_err(|error| match error {
+        CaptureError::Field { file, field, reason } => {
+            CaptureError::Field { file, field, reason: format!("{reason} ({})", photo.image) }
+        }
+        other => other,
+    })
 }
 
 /// The error for a lens that cannot be converted to a pinhole.

@@ -6,7 +6,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use crate::masks::{self, MaskFile};
-use crate::{CaptureError, CaptureFiles, ImportLimits, images, import};
+use crate::{CaptureError, CaptureFiles, ImportLimits, images, layout};
 
 /// File extensions of photographs that COLMAP reads.
 const ENDINGS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "webp"];
@@ -26,7 +26,7 @@ impl PhotosWithoutPoses {
     /// [`CaptureError`] when it cannot be opened or is over a limit.
     pub fn open(path: &Path, limits: &ImportLimits) -> Result<Option<Self>, CaptureError> {
         let source = CaptureFiles::open(path, limits)?;
-        Ok(if import::has_layout(&source) { None } else { Self::of(source) })
+        Ok(if layout::is_present(&source) { None } else { Self::of(source) })
     }
 
     /// The photographs of `path`, whether or not the files include poses. `None` without photographs.

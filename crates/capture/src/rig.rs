@@ -8,6 +8,7 @@ use glam::{DMat4, DVec3};
 use crate::CaptureError;
 use crate::bounds::nearest_to_axes;
 use crate::error::name_list;
+use crate::formats::ply_points::Point;
 use crate::photos::{PhotoEntry, Split};
 
 /// Largest difference of two equal poses, relative to the size of the numbers.
@@ -16,14 +17,21 @@ const SAME: f64 = 1e-6;
 const STRAY: f64 = 20.0;
 /// Least number of cameras among which one can be stray.
 const STRAY_CAMERAS: usize = 8;
-/// Least cosine between +Z and the mean up direction of the cameras, 60 degrees.
-const UPRIGHT: f64 = 0.5;
 
-/// Warns of implausible poses.
+/// Half the angle of a cone that every camera sees, degrees, and the least share of a point cloud that a camera sees in it.
+const SEEN: (f64, f64) = (25.0, 0.01);
+/// Number of points that are looked at.
+const POINTS: usize = 2000;
+
+/// Warns of implausible poses, and of points that do not belong to them.
 ///
 /// # Errors
 /// Names the file that gives all photographs one pose.
-pub(super) fn check(photos: &[PhotoEntry], warnings: &mut Vec<String>) -> Result<(), CaptureError> {
+pub(super) fn check(
+    photos: &[PhotoEntry],
+    points: &[Point],
+    warnings: &mut Vec<String>,
+) -> Result<(), CaptureError> {
     let Some(first) = photos.first() else { return Ok(()) };
     if photos.iter().all(|photo| is_same(&photo.pose, &first.pose)) {
         let reason = format!("gives all {} photographs the same pose", photos.len());
@@ -31,7 +39,8 @@ pub(super) fn check(photos: &[PhotoEntry], warnings: &mut Vec<String>) -> Result
     }
     warnings.extend(stray_cameras(photos));
     warnings.extend(looking_away(photos));
-    warnings.extend(up(photos));
+    warnings.extend(upside_down(photos));
+    warnings.extend(unseen_points(photos, points));
     Ok(())
 }
 
@@ -71,7 +80,7 @@ pub(super) fn remove_repeated(
         let all = std::mem::take(photos).into_iter().enumerate();
         *photos = all.filter(|(i, _)| kept.contains(i)).map(|(_, photo)| photo).collect();
         warnings.push(format!(
-            "{} photographs are named more than once and are used once, held out if one of the frames is: {}",
+            "photographs that are named more than once: {}; each is used once, held out if one of the frames is: {}",
             repeated.len(),
             name_list(&repeated)
         ));
@@ -104,36 +113,83 @@ fn stray_cameras(photos: &[PhotoEntry]) -> Option<String> {
     let names: Vec<String> = strays.iter().map(|i| photos[*i].image.clone()).collect();
     (!names.is_empty()).then(|| {
         let (count, names) = (names.len(), name_list(&names));
-        format!("{count} cameras are more than {STRAY} times as far away as the others; check their poses: {names}")
+        format!(
+            "cameras more than {STRAY} times as far away as the others: {count}; check their poses: {names}"
+        )
     })
 }
 
-fn looking_away(photos: &[PhotoEntry]) -> Option<String> {
+/// How many cameras look towards the point at which all look.
+fn looking(photos: &[PhotoEntry]) -> usize {
     let axes = |photo: &PhotoEntry| (eye(photo), -photo.pose.z_axis.truncate().normalize_or_zero());
     let centre = nearest_to_axes(photos.iter().map(axes));
     let sees = |photo: &&PhotoEntry| {
         let (eye, forward) = axes(photo);
         forward.dot(centre - eye) > 0.0
     };
-    let looking = photos.iter().filter(sees).count();
+    photos.iter().filter(sees).count()
+}
+
+/// Converts poses with OpenCV axes (y down, z forward) to OpenGL axes (y up, z backward) if they are surely such: taken
+/// as OpenGL axes, the cameras look away from what they photograph and are upside down.
+pub(super) fn convert_opencv_axes(photos: &mut [PhotoEntry], warnings: &mut Vec<String>) {
+    let up = photos.iter().map(up).sum::<DVec3>() / photos.len().max(1) as f64;
+    let is_upside_down = up.z < -0.5 || up.y < -0.5;
+    if is_upside_down && 10 * looking(photos) < photos.len() {
+        let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
+        photos.iter_mut().for_each(|photo| photo.pose *= flip);
+        warnings.push(
+            "the poses have OpenCV axes (y down, z forward) where the layout has OpenGL axes (y up, z backward): the cameras would \
+             look away and be upside down; the poses are converted"
+                .to_owned(),
+        );
+    }
+}
+
+fn looking_away(photos: &[PhotoEntry]) -> Option<String> {
+    let looking = looking(photos);
     (2 * looking < photos.len()).then(|| {
         format!(
-            "only {looking} of {} cameras look towards the point at which all look: the poses may have OpenCV axes (y down, z \
-             forward) instead of OpenGL axes, or be world-to-camera; for a room that is seen from its inside this is normal",
+            "only {looking} of {} cameras look towards the point at which all look: the poses may be world-to-camera instead of \
+             camera-to-world; for a room that is seen from its inside this is normal",
             photos.len()
         )
     })
 }
 
-fn up(photos: &[PhotoEntry]) -> Option<String> {
-    let ups = photos.iter().map(|photo| photo.pose.y_axis.truncate().normalize_or_zero());
-    let mean = ups.sum::<DVec3>() / photos.len().max(1) as f64;
-    let is_common = mean.length() > 0.5;
-    (is_common && mean.normalize().z < UPRIGHT).then(|| {
+/// The up direction of a camera.
+fn up(photo: &PhotoEntry) -> DVec3 {
+    photo.pose.y_axis.truncate().normalize_or_zero()
+}
+
+fn upside_down(photos: &[PhotoEntry]) -> Option<String> {
+    let mean = photos.iter().map(up).sum::<DVec3>().normalize_or_zero();
+    let turned = photos.iter().filter(|photo| up(photo).dot(mean) < -0.5);
+    let names: Vec<String> = turned.map(|photo| photo.image.clone()).collect();
+    (!names.is_empty()).then(|| {
         format!(
-            "the mean up direction of the cameras is ({:.2}, {:.2}, {:.2}), not +Z: environment maps will shine from the side; \
-             rotate the poses so that +Z is up",
-            mean.x, mean.y, mean.z
+            "cameras that are upside down compared with the others: {}; check whether their photographs were rotated: {}",
+            names.len(),
+            name_list(&names)
+        )
+    })
+}
+
+fn unseen_points(photos: &[PhotoEntry], points: &[Point]) -> Option<String> {
+    let points: Vec<DVec3> =
+        points.iter().step_by(points.len().div_ceil(POINTS).max(1)).map(|p| p.0).collect();
+    let (angle, share) = SEEN;
+    let sees = |photo: &&PhotoEntry| {
+        let forward = -photo.pose.z_axis.truncate().normalize_or_zero();
+        let is_ahead =
+            |p: &&DVec3| (**p - eye(photo)).normalize_or_zero().dot(forward) > angle.to_radians().cos();
+        points.iter().filter(is_ahead).count() as f64 >= share * points.len() as f64
+    };
+    let seeing = photos.iter().filter(sees).count();
+    (points.len() >= 16 && 2 * seeing < photos.len()).then(|| {
+        format!(
+            "only {seeing} of {} cameras see the point cloud: its points may have other axes or units than the cameras",
+            photos.len()
         )
     })
 }

@@ -3,10 +3,12 @@
 use std::collections::BTreeSet;
 
 use glam::{DMat4, DVec4};
-use serde::Deserialize;
+use serde_json::Value;
 
 use crate::json::parse_json;
-use crate::lens::{Distortion, Lens};
+use crate::json_fields::Fields;
+use crate::lens::Lens;
+use crate::stated_lens::StatedLens;
 use crate::{CaptureError, CaptureFiles, ImportLimits};
 
 /// A parsed `transforms*.json`.
@@ -39,46 +41,8 @@ pub(super) struct TransformsFrame {
     pub light_rotation_deg: f64,
 }
 
-/// Intrinsics that both a file and a frame may state. Unknown keys (`sharpness`, `rotation`) are ignored.
-#[derive(Debug, Clone, Default, Deserialize)]
-struct RawLens {
-    camera_angle_x: Option<f64>,
-    camera_angle_y: Option<f64>,
-    fl_x: Option<f64>,
-    fl_y: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-    w: Option<f64>,
-    h: Option<f64>,
-    k1: Option<f64>,
-    k2: Option<f64>,
-    k3: Option<f64>,
-    k4: Option<f64>,
-    p1: Option<f64>,
-    p2: Option<f64>,
-    camera_model: Option<String>,
-    is_fisheye: Option<bool>,
-}
-
-#[derive(Debug, Deserialize)]
-struct RawFrame {
-    file_path: Option<String>,
-    mask_path: Option<String>,
-    transform_matrix: Option<Vec<Vec<f64>>>,
-    light_rotation_deg: Option<f64>,
-    #[serde(flatten)]
-    lens: RawLens,
-}
-
-#[derive(Debug, Deserialize)]
-struct RawTransforms {
-    frames: Option<Vec<RawFrame>>,
-    ply_file_path: Option<String>,
-    #[serde(default)]
-    test_filenames: Vec<String>,
-    #[serde(flatten)]
-    lens: RawLens,
-}
+/// Largest size of the JSON, bytes: about ten times that of [`ImportLimits::max_images`] frames.
+const MAX_BYTES: usize = 128 << 20;
 
 /// Reads and checks `file`.
 ///
@@ -93,38 +57,50 @@ pub(super) fn read(source: &CaptureFiles, file: &str) -> Result<Transforms, Capt
 /// # Errors
 /// As [`read`].
 pub(super) fn parse(file: &str, bytes: &[u8], limits: &ImportLimits) -> Result<Transforms, CaptureError> {
-    let raw: RawTransforms = parse_json(file, bytes)?;
-    let bad = |field: String, reason: &str| CaptureError::at_field(file, field, reason);
-    let inside = |field: String, path: &str| {
-        relative(path).ok_or_else(|| bad(field, "must be a path inside the capture"))
-    };
-    let frames = raw.frames.ok_or_else(|| bad("frames".into(), "is missing"))?;
+    if bytes.len() > MAX_BYTES {
+        let reason = format!("has {} bytes; at most {MAX_BYTES} are read", bytes.len());
+        return Err(CaptureError::File { file: file.to_owned(), reason });
+    }
+    let value: Value = parse_json(file, bytes)?;
+    let set = Fields::new(file, "", &value)?;
+    let frames = set.list("frames")?.ok_or_else(|| set.error("frames", "is missing"))?;
     if frames.len() > limits.max_images {
         let reason = format!("{} frames, {} allowed", frames.len(), limits.max_images);
         return Err(CaptureError::over_limit(file, "max_images", reason));
     }
-    let check = |(i, frame): (usize, RawFrame)| {
+    let shared = StatedLens::read(&set)?;
+    let frames = frames.iter().enumerate().map(|(i, value)| {
         let field = format!("frames[{i}]");
-        let path = frame.file_path.ok_or_else(|| bad(format!("{field}.file_path"), "is missing"))?;
-        let path = inside(format!("{field}.file_path"), &path)?;
-        let mask = frame.mask_path.as_deref().map(|m| inside(format!("{field}.mask_path"), m));
-        let pose = frame.transform_matrix.and_then(|rows| matrix(&rows));
-        let reason = "must be a 4x4 matrix of finite numbers";
-        let pose = pose.ok_or_else(|| bad(format!("{field}.transform_matrix"), reason))?;
-        let lens = lens(&frame.lens.or(&raw.lens)).map_err(|(f, r)| bad(format!("{field}.{f}"), &r))?;
-        let light_rotation_deg = frame.light_rotation_deg.unwrap_or(0.0);
-        if !light_rotation_deg.is_finite() {
-            return Err(bad(format!("{field}.light_rotation_deg"), "must be finite"));
-        }
-        Ok(TransformsFrame { field, path, mask: mask.transpose()?, pose, lens, light_rotation_deg })
+        frame(&Fields::new(file, &field, value)?, &shared)
+    });
+    let frames = frames.collect::<Result<_, _>>()?;
+    let points = set.text("ply_file_path")?.map(str::to_owned);
+    let names = |field: &str| -> Result<BTreeSet<String>, CaptureError> {
+        let names = set.list(field)?.unwrap_or_default().iter().filter_map(Value::as_str);
+        Ok(names.filter_map(relative).collect())
     };
-    let frames = frames.into_iter().enumerate().map(check).collect::<Result<_, _>>()?;
-    let points = raw.ply_file_path.map(|p| inside("ply_file_path".into(), &p));
-    let held_out = raw.test_filenames.iter().filter_map(|p| relative(p)).collect();
-    Ok(Transforms { file: file.to_owned(), frames, points: points.transpose()?, held_out })
+    let test = names("test_filenames")?;
+    let held_out = if test.is_empty() { names("val_filenames")? } else { test };
+    Ok(Transforms { file: file.to_owned(), frames, points, held_out })
 }
 
-/// A path inside the capture, `/` between parts; `None` if it leaves the capture.
+fn frame(fields: &Fields<'_>, shared: &StatedLens) -> Result<TransformsFrame, CaptureError> {
+    let inside = |name: &str, path: &str| {
+        relative(path).ok_or_else(|| fields.error(name, "must be a path inside the capture"))
+    };
+    let path = fields.text("file_path")?.ok_or_else(|| fields.error("file_path", "is missing"))?;
+    let path = inside("file_path", path)?;
+    let mask = fields.text("mask_path")?.map(|mask| inside("mask_path", mask)).transpose()?;
+    let rows = fields.rows("transform_matrix")?;
+    let rows = rows.ok_or_else(|| fields.error("transform_matrix", "is missing"))?;
+    let pose = matrix(&rows).map_err(|reason| fields.error("transform_matrix", reason))?;
+    let lens =
+        StatedLens::read(fields)?.or(shared).lens().map_err(|(name, reason)| fields.error(name, reason))?;
+    let light_rotation_deg = fields.number("light_rotation_deg")?.unwrap_or(0.0);
+    Ok(TransformsFrame { field: fields.path.to_owned(), path, mask, pose, lens, light_rotation_deg })
+}
+
+/// A path with `/` between parts, without the root of an absolute path; `None` if it leaves the capture by `..`.
 pub(super) fn relative(path: &str) -> Option<String> {
     let path = path.replace('\\', "/");
     let mut parts = Vec::new();
@@ -135,62 +111,29 @@ pub(super) fn relative(path: &str) -> Option<String> {
             part => parts.push(part),
         }
     }
-    (!path.starts_with('/') && !parts.is_empty()).then(|| parts.join("/"))
+    (!parts.is_empty()).then(|| parts.join("/"))
 }
 
-/// A 4x4 or 3x4 row-major matrix of finite numbers.
-fn matrix(rows: &[Vec<f64>]) -> Option<DMat4> {
+/// A 4x4 or 3x4 row-major matrix whose last row is `0 0 0 w`; it is divided by `w`.
+fn matrix(rows: &[Vec<f64>]) -> Result<DMat4, &'static str> {
+    const LAST: DVec4 = DVec4::W;
+    /// Largest rounding error of a zero in the last row.
+    const ROUNDING: f64 = 1e-6;
     let row = |i: usize| -> Option<DVec4> {
         let row: [f64; 4] = rows.get(i)?.as_slice().try_into().ok()?;
-        row.iter().all(|v| v.is_finite()).then(|| DVec4::from(row))
+        Some(DVec4::from(row))
     };
-    let last = if rows.len() == 3 { DVec4::W } else { row(3)? };
-    if rows.len() > 4 || last != DVec4::W {
-        return None;
-    }
-    Some(DMat4::from_cols(row(0)?, row(1)?, row(2)?, last).transpose())
-}
-
-impl RawLens {
-    /// Takes each field from `self`. Fields that `self` does not have come from `shared`.
-    fn or(&self, shared: &Self) -> Self {
-        macro_rules! each {
-            ($($field:ident)*) => {
-                Self { $($field: self.$field.clone().or_else(|| shared.$field.clone())),* }
-            };
-        }
-        each!(camera_angle_x camera_angle_y fl_x fl_y cx cy w h k1 k2 k3 k4 p1 p2 camera_model is_fisheye)
-    }
-}
-
-fn lens(raw: &RawLens) -> Result<Lens, (&'static str, String)> {
-    let number = |v: Option<f64>| v.unwrap_or(0.0);
-    let k = [raw.k1, raw.k2, raw.k3, raw.k4].map(number);
-    let p = [raw.p1, raw.p2].map(number);
-    if !k.iter().chain(&p).all(|v| v.is_finite()) {
-        return Err(("k1", "distortion must be finite".into()));
-    }
-    let fisheye = raw.is_fisheye.unwrap_or(false);
-    let distortion = match raw.camera_model.as_deref() {
-        Some("OPENCV_FISHEYE") => Distortion::Fisheye { k },
-        None if fisheye => Distortion::Fisheye { k },
-        None | Some("OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "perspective") => {
-            Distortion::RadialTangential { k, p }
-        }
-        Some(other) => {
-            return Err((
-                "camera_model",
-                format!("{other:?} is not supported; use OPENCV or OPENCV_FISHEYE"),
-            ));
-        }
+    let last = if rows.len() == 3 { Some(LAST) } else { row(3).filter(|_| rows.len() == 4) };
+    let (Some(x), Some(y), Some(z), Some(last)) = (row(0), row(1), row(2), last) else {
+        return Err("must be a 4x4 or 3x4 matrix");
     };
-    Ok(Lens {
-        size: raw.w.zip(raw.h),
-        focal: [raw.fl_x, raw.fl_y],
-        angle: [raw.camera_angle_x, raw.camera_angle_y],
-        centre: [raw.cx, raw.cy],
-        distortion: distortion.simplified(),
-    })
+    if last.w > 0.0 && last.truncate().abs().max_element() <= ROUNDING * last.w {
+        return Ok(DMat4::from_cols(x / last.w, y / last.w, z / last.w, LAST).transpose());
+    }
+    if [x.w, y.w, z.w] == [0.0; 3] && last.w == 1.0 {
+        return Err("the last row must be 0 0 0 1; the matrix looks transposed: write it by rows");
+    }
+    Err("the last row must be 0 0 0 1")
 }
 
 #[cfg(test)]
@@ -201,21 +144,34 @@ mod tests {
     fn paths_are_normalised_and_escaping_paths_are_refused() {
         assert_eq!(relative("./a/../b/c.png").as_deref(), Some("b/c.png"));
         assert_eq!(relative("images\\1.jpg").as_deref(), Some("images/1.jpg"));
-        for out in ["../x", "/etc/x", "a/../../x", "", "."] {
+        assert_eq!(relative("/etc/x").as_deref(), Some("etc/x"), "a file of the capture, not of the machine");
+        for out in ["../x", "a/../../x", "", "."] {
             assert_eq!(relative(out), None, "{out}");
         }
     }
 
     #[test]
-    fn matrix_of_wrong_shape_or_last_row_is_refused() {
+    fn matrix_is_read_by_rows_and_divided_by_its_last_number() {
         let row = |v: [f64; 4]| v.to_vec();
         let good =
             [row([1., 0., 0., 5.]), row([0., 1., 0., 6.]), row([0., 0., 1., 7.]), row([0., 0., 0., 1.])];
         assert_eq!(matrix(&good).unwrap().w_axis, DVec4::new(5., 6., 7., 1.));
         assert_eq!(matrix(&good), matrix(&good[..3]));
-        assert_eq!(matrix(&good[..2]), None);
-        let skewed = [good[0].clone(), good[1].clone(), good[2].clone(), row([0., 0., 0.5, 1.])];
-        assert_eq!(matrix(&skewed), None);
-        assert_eq!(matrix(&[vec![1.0; 3], vec![1.0; 3], vec![1.0; 3]]), None);
+        let mut doubled = good.clone().map(|row| row.iter().map(|v| 2.0 * v).collect::<Vec<f64>>());
+        doubled[3][2] = 1e-8;
+        assert_eq!(matrix(&doubled), matrix(&good));
+        let flipped: Vec<_> = (0..4).map(|i| good.iter().map(|row| row[i]).collect()).collect();
+        let cut = vec![vec![1.0; 3], vec![1.0; 3], vec![1.0; 3]];
+        let skewed = [good[0].clone(), good[1].clone(), good[2].clone(), row([0., 0., 1e-4, 1.])];
+        let five = [&good[..], &good[..1]].concat();
+        for (rows, reason) in [
+            (&good[..2], "4x4"),
+            (&cut[..], "4x4"),
+            (&five[..], "4x4"),
+            (&skewed[..], "the last row"),
+            (&flipped[..], "transposed"),
+        ] {
+            assert!(matrix(rows).unwrap_err().contains(reason), "{rows:?}");
+        }
     }
 }

@@ -39,15 +39,16 @@ pub(super) enum AlbedoEncoding {
     Srgb,
 }
 
-/// The encoding of the set's albedo images that `scene.json` names; linear without that file.
+/// The encoding of the set's albedo images that `scene.json` in `folder` names; linear without that file.
 ///
 /// # Errors
 /// When `scene.json` exists but is not JSON.
-pub(super) fn albedo_encoding(source: &CaptureFiles) -> Result<AlbedoEncoding, CaptureError> {
-    if !source.contains("scene.json") {
+pub(super) fn albedo_encoding(source: &CaptureFiles, folder: &str) -> Result<AlbedoEncoding, CaptureError> {
+    let file = format!("{folder}scene.json");
+    if !source.contains(&file) {
         return Ok(AlbedoEncoding::Linear);
     }
-    let scene: SceneFile = parse_json("scene.json", &source.read("scene.json")?)?;
+    let scene: SceneFile = parse_json(&file, &source.read(&file)?)?;
     let is_srgb = scene.albedo_png.is_some_and(|text| text.to_ascii_lowercase().contains("srgb"));
     Ok(if is_srgb { AlbedoEncoding::Srgb } else { AlbedoEncoding::Linear })
 }

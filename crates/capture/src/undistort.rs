@@ -3,9 +3,9 @@
 //! The pinhole camera shows the largest axis-aligned window that lies completely inside the photograph. Every new
 //! pixel therefore has a source, and no alpha is invented.
 
-use glam::{DMat2, DVec2};
+use glam::DVec2;
 
-use crate::lens::Distortion;
+use crate::distortion::Distortion;
 use relume_scene::{Camera, ImageRgba};
 
 /// Largest distance of a window's edge from the axis, in units of depth (62 degrees). In a wider window most pixels
@@ -14,78 +14,6 @@ const MAX_REACH: f64 = 1.9;
 
 /// Image points sampled along each side of the photograph.
 const SIDE_SAMPLES: usize = 65;
-
-impl Distortion {
-    /// The point at which the lens images a ray that a pinhole would image at `p` (both on the plane of depth 1).
-    pub fn distort(&self, p: DVec2) -> DVec2 {
-        let r2 = p.length_squared();
-        match self {
-            Self::None => p,
-            Self::RadialTangential { k, p: [p1, p2] } => {
-                let radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * (k[2] + r2 * k[3])));
-                let xy = 2.0 * p.x * p.y;
-                let tangential =
-                    DVec2::new(p1 * xy + p2 * (r2 + 2.0 * p.x * p.x), p2 * xy + p1 * (r2 + 2.0 * p.y * p.y));
-                p * radial + tangential
-            }
-            Self::Fisheye { k } => {
-                let r = r2.sqrt();
-                if r < 1e-9 { p } else { p * (distorted_radius(k, r.atan()) / r) }
-            }
-        }
-    }
-
-    /// The inverse of [`Distortion::distort`], by Newton's method; `None` where it does not converge.
-    pub fn undistort(&self, distorted: DVec2) -> Option<DVec2> {
-        match self {
-            Self::None => Some(distorted),
-            Self::Fisheye { k } => undistort_fisheye(k, distorted),
-            Self::RadialTangential { .. } => {
-                let mut p = distorted;
-                for _ in 0..50 {
-                    let residual = self.distort(p) - distorted;
-                    if residual.length() < 1e-12 {
-                        break;
-                    }
-                    p -= self.jacobian(p).inverse() * residual;
-                }
-                let converged = p.is_finite() && (self.distort(p) - distorted).length() < 1e-8;
-                converged.then_some(p)
-            }
-        }
-    }
-
-    /// Derivative of [`Distortion::distort`], by central differences.
-    fn jacobian(&self, p: DVec2) -> DMat2 {
-        const H: f64 = 1e-6;
-        let along = |d: DVec2| (self.distort(p + d) - self.distort(p - d)) / (2.0 * H);
-        DMat2::from_cols(along(DVec2::new(H, 0.0)), along(DVec2::new(0.0, H)))
-    }
-}
-
-/// Image radius of a ray at `theta` radians from the axis.
-fn distorted_radius(k: &[f64; 4], theta: f64) -> f64 {
-    let t2 = theta * theta;
-    theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
-}
-
-fn undistort_fisheye(k: &[f64; 4], distorted: DVec2) -> Option<DVec2> {
-    let radius = distorted.length();
-    if radius < 1e-9 {
-        return Some(distorted);
-    }
-    let mut theta = radius.min(1.5);
-    for _ in 0..50 {
-        let derivative = (distorted_radius(k, theta + 1e-6) - distorted_radius(k, theta - 1e-6)) / 2e-6;
-        theta = (theta - (distorted_radius(k, theta) - radius) / derivative).clamp(0.0, 3.2);
-    }
-    if !theta.is_finite() || (distorted_radius(k, theta) - radius).abs() > 1e-8 {
-        return None;
-    }
-    // Directions at 90 degrees and more do not meet the plane of depth 1; any point far outside the window serves.
-    let reach = if theta < 1.56 { theta.tan() } else { 1e2 };
-    Some(distorted * (reach / radius))
-}
 
 /// The pinhole camera and image for a distorted one. `camera` has the distorted image's focal lengths and principal
 /// point.
@@ -212,17 +140,6 @@ mod tests {
     fn coordinates() -> ImageRgba {
         let pixel = |i: u32| [(i % 96) as f32 / 100.0, (i / 96) as f32 / 100.0, 0.5, 1.0];
         ImageRgba { width: 96, height: 64, pixels: (0..96 * 64).map(pixel).collect() }
-    }
-
-    #[test]
-    fn undistortion_inverts_distortion() {
-        for lens in [PHONE, WIDE, FISHEYE] {
-            for i in 0..50 {
-                let p = DVec2::new((i % 10) as f64 * 0.14 - 0.6, (i / 10) as f64 * 0.2 - 0.4);
-                let back = lens.undistort(lens.distort(p)).unwrap();
-                assert!((back - p).length() < 1e-7, "{lens:?} {p} {back}");
-            }
-        }
     }
 
     /// Largest distance between the pixel at which a lens images a point and the one that the undistorted image shows

@@ -1,15 +1,191 @@
-//! The up direction of layouts that do not state one.
+//! Rotates the world of a capture so that +Z is up, as environment maps need it.
 
-use glam::{DQuat, DVec3};
+use glam::{DMat3, DMat4, DQuat, DVec3};
+use relume_spec::training::UpAxis;
 
-/// The rotation that takes the mean of the cameras' up directions to +Z. If they have no common up direction: the
-/// identity, with a warning.
-pub(super) fn upright(ups: impl Iterator<Item = DVec3>, left_as: &str, warnings: &mut Vec<String>) -> DQuat {
-    let ups: Vec<DVec3> = ups.map(DVec3::normalize_or_zero).collect();
-    let mean = ups.iter().sum::<DVec3>() / ups.len().max(1) as f64;
-    if mean.length() < 0.2 {
-        warnings.push(format!("the cameras have no common up direction; the world keeps its {left_as} axes"));
+use crate::formats::ply_points::Point;
+use crate::photos::PhotoEntry;
+
+/// Least cosine between +Z and the mean up direction of the cameras for a world that is +Z up, 60 degrees.
+const UPRIGHT: f64 = 0.5;
+/// Least cosine between the estimated up direction and an axis of the world that it stands for, 20 degrees.
+const NEAR_AXIS: f64 = 0.94;
+/// Least length of the mean up direction of cameras that agree on one.
+const COMMON: f64 = 0.2;
+
+/// Whether a layout states which direction of its world is up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum StatedUp {
+    /// +Z is up by convention, which some programs ignore.
+    PlusZ,
+    /// The layout has arbitrary axes; the name of the program that chose them.
+    No(&'static str),
+}
+
+/// The rotation of the world that makes +Z up. `poses` are camera-to-world with OpenGL axes. The rotation is not the
+/// identity for a layout that states +Z only if `choice` says so, or if the cameras agree on another axis.
+pub(super) fn upright(
+    poses: &[DMat4],
+    choice: UpAxis,
+    stated: StatedUp,
+    warnings: &mut Vec<String>,
+) -> DQuat {
+    if let Some(axis) = axis(choice) {
+        return rotation(axis);
+    }
+    let ups = poses.iter().map(|pose| pose.y_axis.truncate().normalize_or_zero());
+    let mean = ups.sum::<DVec3>() / poses.len().max(1) as f64;
+    match stated {
+        StatedUp::No(program) if mean.length() < COMMON => {
+            warnings.push(format!(
+                "the cameras have no common up direction; the world keeps its {program} axes; state the axis with --up"
+            ));
+            DQuat::IDENTITY
+        }
+        StatedUp::No(_) => rotation(mean.normalize()),
+        StatedUp::PlusZ => other_axis(poses, mean, warnings),
+    }
+}
+
+/// Rotates poses and points.
+pub(super) fn rotate(rotation: DQuat, photos: &mut [PhotoEntry], points: &mut [Point]) {
+    if rotation != DQuat::IDENTITY {
+        photos.iter_mut().for_each(|photo| photo.pose = DMat4::from_quat(rotation) * photo.pose);
+        points.iter_mut().for_each(|(position, _)| *position = rotation * *position);
+    }
+}
+
+/// The rotation for a world that should be +Z up.
+fn other_axis(poses: &[DMat4], mean: DVec3, warnings: &mut Vec<String>) -> DQuat {
+    let is_common = mean.length() > 0.5;
+    if !is_common || mean.normalize().z >= UPRIGHT {
         return DQuat::IDENTITY;
     }
-    DQuat::from_rotation_arc(mean.normalize(), DVec3::Z)
+    let shown = format!("({:.2}, {:.2}, {:.2})", mean.x, mean.y, mean.z);
+    let nearest = AXES.into_iter().max_by(|(_, a), (_, b)| a.dot(mean).total_cmp(&b.dot(mean)));
+    match (nearest, turning_axis(poses)) {
+        (Some((name, axis)), Some(turning)) if turning.dot(axis).abs() > NEAR_AXIS => {
+            warnings.push(format!(
+                "the mean up direction of the cameras is {shown}, so {name} is taken as up and the world is rotated to +Z up; \
+                 --up z keeps the axes"
+            ));
+            rotation(axis)
+        }
+        _ => {
+            warnings.push(format!(
+                "the mean up direction of the cameras is {shown}, not +Z: environment maps will shine from the side; state the \
+                 axis that is up with --up"
+            ));
+            DQuat::IDENTITY
+        }
+    }
+}
+
+const AXES: [(&str, DVec3); 6] = [
+    ("+X", DVec3::X),
+    ("+Y", DVec3::Y),
+    ("+Z", DVec3::Z),
+    ("-X", DVec3::NEG_X),
+    ("-Y", DVec3::NEG_Y),
+    ("-Z", DVec3::NEG_Z),
+];
+
+fn axis(choice: UpAxis) -> Option<DVec3> {
+    Some(match choice {
+        UpAxis::Auto => return None,
+        UpAxis::X => DVec3::X,
+        UpAxis::Y => DVec3::Y,
+        UpAxis::Z => DVec3::Z,
+        UpAxis::NegX => DVec3::NEG_X,
+        UpAxis::NegY => DVec3::NEG_Y,
+        UpAxis::NegZ => DVec3::NEG_Z,
+    })
+}
+
+fn rotation(up: DVec3) -> DQuat {
+    DQuat::from_rotation_arc(up, DVec3::Z)
+}
+
+/// The axis about which the cameras turn around their object, of either sign: the direction that changes least as seen
+/// from the cameras. That is the right singular vector of the mean world-to-camera rotation with the largest singular value. `None` if the cameras
+/// hardly turn, or about no common axis.
+fn turning_axis(poses: &[DMat4]) -> Option<DVec3> {
+    let to_camera = |pose: &DMat4| {
+        let axes = [pose.x_axis, pose.y_axis, pose.z_axis].map(|axis| axis.truncate().normalize_or_zero());
+        DMat3::from_cols_array_2d(&axes.map(|axis| axis.to_array())).transpose()
+    };
+    let mean = poses.iter().map(to_camera).sum::<DMat3>() * (1.0 / poses.len().max(1) as f64);
+    let squared = mean.transpose() * mean;
+    // The power iteration converges if the largest of the three eigenvalues is well above the second, which is asked for below.
+    let mut axis = DVec3::new(0.57, 0.58, 0.59);
+    for _ in 0..200 {
+        axis = (squared * axis).normalize_or_zero();
+    }
+    let largest = axis.dot(squared * axis);
+    let trace = squared.x_axis.x + squared.y_axis.y + squared.z_axis.z;
+    let second = (trace - largest).max(0.0);
+    (axis != DVec3::ZERO && largest > 0.5 && second < 0.5 * largest).then_some(axis)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use relume_scene::Camera;
+
+    /// Cameras around the origin, over `degrees` of azimuth, at an elevation of 20 degrees.
+    fn orbit(degrees: f64) -> Vec<DMat4> {
+        let pose = |i: usize| {
+            let angle = (degrees * i as f64 / 16.0).to_radians();
+            let eye = DVec3::new(3.0 * angle.cos(), 3.0 * angle.sin(), 1.1);
+            Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.8, (8, 6)).unwrap().to_opengl()
+        };
+        (0..16).map(pose).collect()
+    }
+
+    fn rotated(poses: &[DMat4], rotation: DQuat) -> Vec<DMat4> {
+        poses.iter().map(|pose| DMat4::from_quat(rotation) * *pose).collect()
+    }
+
+    #[test]
+    fn turning_axis_is_found_for_orbits_only() {
+        for degrees in [360.0, 240.0] {
+            let axis = turning_axis(&orbit(degrees)).unwrap();
+            assert!(axis.z.abs() > 0.98, "{degrees}: {axis}");
+        }
+        assert_eq!(turning_axis(&orbit(20.0)), None, "cameras that hardly turn");
+        assert_eq!(turning_axis(&[]), None);
+    }
+
+    #[test]
+    fn world_of_another_axis_is_rotated_and_reported() {
+        let poses = orbit(360.0);
+        let mut warnings = Vec::new();
+        let kept = upright(&poses, UpAxis::Auto, StatedUp::PlusZ, &mut warnings);
+        assert_eq!((kept, warnings.len()), (DQuat::IDENTITY, 0));
+        for (name, axis) in AXES.into_iter().filter(|(name, _)| *name != "+Z") {
+            let away = DQuat::from_rotation_arc(DVec3::Z, axis);
+            let mut warnings = Vec::new();
+            let turn = upright(&rotated(&poses, away), UpAxis::Auto, StatedUp::PlusZ, &mut warnings);
+            assert!((turn * axis - DVec3::Z).length() < 1e-12, "{name}: {turn}");
+            assert!(
+                warnings.len() == 1 && warnings[0].contains(&format!("{name} is taken as up")),
+                "{warnings:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn stated_axis_decides_and_unclear_cameras_only_warn() {
+        let sideways = rotated(&orbit(360.0), DQuat::from_rotation_arc(DVec3::Z, DVec3::Y));
+        let turn = |poses: &[DMat4], choice, warnings: &mut Vec<String>| {
+            upright(poses, choice, StatedUp::PlusZ, warnings)
+        };
+        let mut warnings = Vec::new();
+        assert_eq!(turn(&sideways, UpAxis::Z, &mut warnings), DQuat::IDENTITY);
+        assert!((turn(&sideways, UpAxis::NegX, &mut warnings) * DVec3::NEG_X - DVec3::Z).length() < 1e-12);
+        assert!(warnings.is_empty());
+        let oblique = rotated(&orbit(360.0), DQuat::from_rotation_z(0.8) * DQuat::from_rotation_x(1.5));
+        assert_eq!(turn(&oblique, UpAxis::Auto, &mut warnings), DQuat::IDENTITY);
+        assert!(warnings.len() == 1 && warnings[0].contains("state the axis"), "{warnings:?}");
+    }
 }

@@ -16,7 +16,7 @@ pub enum BitDepth {
 /// A display-referred image with 3 channels where it is opaque and 4 elsewhere. A clone shares the pixels.
 ///
 /// A value that is a level of the bit depth, as every value of an image file is, round-trips exactly.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct PackedImage {
     /// Width in pixels.
     pub width: u32,
@@ -26,7 +26,7 @@ pub struct PackedImage {
 }
 
 /// Row-major pixels.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 enum Samples {
     Rgb8(Arc<[[u8; 3]]>),
     Rgba8(Arc<[[u8; 4]]>),

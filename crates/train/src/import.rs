@@ -21,7 +21,12 @@ pub fn import_for_training(
     limits: &ImportLimits,
     budget: MemoryBudget,
 ) -> Result<Capture, TrainError> {
-    let options = ImportOptions { max_side: Some(config.resolution), limits: *limits, load_truth: false };
+    let options = ImportOptions {
+        max_side: Some(config.resolution),
+        limits: *limits,
+        load_truth: false,
+        up: config.up,
+    };
     let mut undecoded = UndecodedCapture::open(path, &options)?;
     memory::check(&PhotographSizes::undecoded(&mut undecoded)?, config, budget)?;
     let mut capture = undecoded.decode()?;

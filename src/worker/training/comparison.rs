@@ -74,6 +74,7 @@ impl Comparison {
         Figures {
             views: self.compared,
             held_out_views: self.held_out,
+            foreground_pixels: scores.foreground_pixels,
             novel_view: Similarity { psnr: scores.shaded.psnr, ssim: scores.shaded.ssim },
             novel_view_radiance: psnr(scores.radiance.psnr),
             novel_view_matched: psnr(scores.matched.psnr),

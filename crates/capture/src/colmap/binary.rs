@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 
 use glam::DVec3;
 
-use super::model::{CAMERA_MODELS, PosedImage, check_count, coloured, lens, posed};
+use super::camera_models::{CAMERA_MODELS, lens, unknown_model};
+use super::model::{PosedImage, check_count, coloured, posed};
 use crate::CaptureError;
 use crate::formats::ply_points::Point;
 use crate::lens::Lens;
@@ -79,7 +80,7 @@ pub(super) fn cameras(mut bytes: ByteReader<'_>) -> Result<BTreeMap<u32, Lens>, 
         let size = [u64::from_le_bytes(bytes.array()?), u64::from_le_bytes(bytes.array()?)];
         let Some((name, count)) = CAMERA_MODELS.get(model as usize) else {
             // The length of its parameters is unknown, so the entries after it cannot be found.
-            return lens(bytes.file, id, &format!("model {model}"), (0.0, 0.0), &[]).map(|_| lenses);
+            return Err(unknown_model(bytes.file, id, &format!("number {model}")));
         };
         let mut params = Vec::with_capacity(*count);
         for _ in 0..*count {

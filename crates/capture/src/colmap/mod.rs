@@ -1,58 +1,27 @@
 //! COLMAP sparse models: posed images with their cameras, and the sparse points.
 
 mod binary;
+mod camera_models;
+mod find;
 mod model;
 #[cfg(test)]
 mod tests;
 mod text;
 
-use glam::{DMat3, DMat4, DQuat, DVec3};
+use glam::{DMat3, DMat4, DQuat};
+use relume_spec::training::UpAxis;
 
 use self::binary::ByteReader;
+use self::find::ModelEncoding;
+pub(super) use self::find::{ModelFiles, find};
 use self::model::{PosedImage, SparseModel};
 use self::text::TextFile;
 use crate::formats::ply_points::Point;
-use crate::photos::{PhotoEntry, Split, check_missing};
+use crate::photo_finder::PhotoFinder;
+use crate::photos::{PhotoEntry, Split};
 use crate::truth::TruthFiles;
-use crate::upright::upright;
+use crate::upright::{StatedUp, upright};
 use crate::{CaptureError, CaptureFiles};
-
-/// Folders that may contain a sparse model; the first that does is used.
-const FOLDERS: [&str; 5] = ["sparse/0/", "sparse/", "colmap/sparse/0/", "0/", ""];
-/// Folders that may contain its photographs; the first that has a file of the name is used.
-const IMAGE_FOLDERS: [&str; 6] = ["images/", "", "input/", "images_2/", "images_4/", "images_8/"];
-
-/// Encoding of the files of a model.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum ModelEncoding {
-    Binary,
-    Text,
-}
-
-/// The files of a sparse model.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ModelFiles {
-    folder: &'static str,
-    encoding: ModelEncoding,
-}
-
-impl ModelFiles {
-    fn path(self, name: &str) -> String {
-        let ending = match self.encoding {
-            ModelEncoding::Binary => "bin",
-            ModelEncoding::Text => "txt",
-        };
-        format!("{}{name}.{ending}", self.folder)
-    }
-}
-
-/// The files of a sparse model, if there is one.
-pub(super) fn find(source: &CaptureFiles) -> Option<ModelFiles> {
-    let encodings = [ModelEncoding::Binary, ModelEncoding::Text];
-    let mut candidates =
-        FOLDERS.iter().flat_map(|folder| encodings.map(|encoding| ModelFiles { folder, encoding }));
-    candidates.find(|files| ["cameras", "images"].iter().all(|name| source.contains(&files.path(name))))
-}
 
 /// The photographs and points, in a world rotated so that the cameras' mean up is +Z.
 ///
@@ -60,20 +29,23 @@ pub(super) fn find(source: &CaptureFiles) -> Option<ModelFiles> {
 /// Names the model file and the field at fault, or counts the images if too few are present.
 pub(super) fn read(
     source: &CaptureFiles,
-    files: ModelFiles,
+    files: &ModelFiles,
+    up: UpAxis,
     warnings: &mut Vec<String>,
 ) -> Result<(Vec<PhotoEntry>, Vec<Point>), CaptureError> {
     let model = read_model(source, files)?;
-    let turn = upright(model.images.iter().map(up), "COLMAP", warnings);
+    let turn = model_turn(&model, up, warnings);
     let images_file = files.path("images");
-    let (mut photos, mut missing) = (Vec::new(), Vec::new());
-    for image in &model.images {
-        match locate(source, &image.name) {
-            Some(path) => photos.push(photo(&model, image, path, turn, &images_file)?),
-            None => missing.push(image.name.clone()),
+    warnings.extend(files.unused.clone());
+    let mut finder = PhotoFinder::new(source, files.photo_folders());
+    let paths = finder.find_all(&model.images.iter().map(|image| image.name.as_str()).collect::<Vec<_>>());
+    let mut photos = Vec::new();
+    for (image, path) in model.images.iter().zip(paths) {
+        if let Some(path) = path {
+            photos.push(photo(&model, image, path, turn, &images_file)?);
         }
     }
-    check_missing(&images_file, photos.len(), missing, warnings)?;
+    finder.finish(&images_file, photos.len(), warnings)?;
     let points = model.points.into_iter().map(|(p, colour)| (turn * p, colour)).collect();
     Ok((photos, points))
 }
@@ -84,11 +56,12 @@ pub(super) fn read(
 /// Names the model file and the field at fault.
 pub(super) fn stated(
     source: &CaptureFiles,
-    files: ModelFiles,
+    files: &ModelFiles,
+    up: UpAxis,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<PhotoEntry>, CaptureError> {
     let model = read_model(source, files)?;
-    let turn = upright(model.images.iter().map(up), "COLMAP", warnings);
+    let turn = model_turn(&model, up, warnings);
     let images_file = files.path("images");
     let of = |image: &PosedImage| photo(&model, image, image.name.clone(), turn, &images_file);
     model.images.iter().map(of).collect()
@@ -98,7 +71,7 @@ pub(super) fn stated(
 ///
 /// # Errors
 /// Names the file, and the entry whose value is unusable.
-fn read_model(source: &CaptureFiles, files: ModelFiles) -> Result<SparseModel, CaptureError> {
+fn read_model(source: &CaptureFiles, files: &ModelFiles) -> Result<SparseModel, CaptureError> {
     let [in_cameras, in_images, in_points] = &["cameras", "images", "points3D"].map(|name| files.path(name));
     let limits = source.limits();
     let (cameras, images) = (source.read(in_cameras)?, source.read(in_images)?);
@@ -119,10 +92,6 @@ fn read_model(source: &CaptureFiles, files: ModelFiles) -> Result<SparseModel, C
             })?,
         }),
     }
-}
-
-fn locate(source: &CaptureFiles, name: &str) -> Option<String> {
-    IMAGE_FOLDERS.iter().map(|folder| format!("{folder}{name}")).find(|path| source.contains(path))
 }
 
 fn photo(
@@ -150,9 +119,10 @@ fn photo(
     })
 }
 
-/// The up direction of a camera.
-fn up(image: &PosedImage) -> DVec3 {
-    image.rotation.inverse() * -DVec3::Y
+/// The rotation that makes +Z up, from all images of the model, present or not.
+fn model_turn(model: &SparseModel, up: UpAxis, warnings: &mut Vec<String>) -> DQuat {
+    let poses: Vec<_> = model.images.iter().map(|image| pose(image, DQuat::IDENTITY)).collect();
+    upright(&poses, up, StatedUp::No("COLMAP"), warnings)
 }
 
 /// Camera-to-world with OpenGL axes, in the rotated world.

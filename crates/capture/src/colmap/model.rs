@@ -6,7 +6,7 @@ use glam::{DQuat, DVec3};
 
 use crate::CaptureError;
 use crate::formats::ply_points::Point;
-use crate::lens::{Distortion, Lens};
+use crate::lens::Lens;
 use relume_scene::srgb;
 
 /// A sparse model as stored: world-to-camera poses, OpenCV axes, COLMAP's own world.
@@ -31,56 +31,6 @@ pub(super) struct PosedImage {
     pub rotation: DQuat,
     /// World-to-camera translation.
     pub translation: DVec3,
-}
-
-/// Name and number of parameters of the supported camera models, by COLMAP's id.
-pub(super) const CAMERA_MODELS: [(&str, usize); 6] = [
-    ("SIMPLE_PINHOLE", 3),
-    ("PINHOLE", 4),
-    ("SIMPLE_RADIAL", 4),
-    ("RADIAL", 5),
-    ("OPENCV", 8),
-    ("OPENCV_FISHEYE", 8),
-];
-
-/// A lens from a model's name, image size in pixels and parameters.
-pub(super) fn lens(
-    file: &str,
-    id: u32,
-    model: &str,
-    size: (f64, f64),
-    p: &[f64],
-) -> Result<Lens, CaptureError> {
-    let field = |name: &str| format!("cameras[{id}].{name}");
-    if !p.iter().all(|v| v.is_finite()) {
-        return Err(CaptureError::at_field(file, field("params"), "must be finite"));
-    }
-    let radial = |k1, k2| Distortion::RadialTangential { k: [k1, k2, 0.0, 0.0], p: [0.0; 2] };
-    let (focal, centre, distortion) = match (model, p) {
-        ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], Distortion::None),
-        ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], Distortion::None),
-        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f], [cx, cy], radial(k, 0.0)),
-        ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], radial(k1, k2)),
-        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
-            let lens = Distortion::RadialTangential { k: [k1, k2, 0.0, 0.0], p: [p1, p2] };
-            ([fx, fy], [cx, cy], lens)
-        }
-        ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => {
-            ([fx, fy], [cx, cy], Distortion::Fisheye { k: [k1, k2, k3, k4] })
-        }
-        _ => {
-            let known = CAMERA_MODELS.map(|(name, count)| format!("{name} ({count})")).join(", ");
-            let reason = format!("{model} with {} parameters is not supported; supported: {known}", p.len());
-            return Err(CaptureError::at_field(file, field("model"), reason));
-        }
-    };
-    Ok(Lens {
-        size: Some(size),
-        focal: focal.map(Some),
-        angle: [None; 2],
-        centre: centre.map(Some),
-        distortion: distortion.simplified(),
-    })
 }
 
 /// A checked pose from quaternion w x y z and translation, world-to-camera.

@@ -4,10 +4,12 @@ use glam::{DQuat, DVec3};
 
 use super::binary::{self, ByteReader};
 use super::model::{PosedImage, SparseModel};
+use super::pose;
 use super::text::{self, TextFile};
-use super::{pose, up, upright};
 use crate::CaptureError;
+use crate::upright::{StatedUp, upright};
 use relume_scene::Camera;
+use relume_spec::training::UpAxis;
 
 const CAMERAS: &str =
     "# comment\n1 OPENCV 640 480 500 510 320 240 0.1 -0.05 0.001 0.002\n2 PINHOLE 64 48 50 51 32 24\n";
@@ -64,7 +66,7 @@ fn read_binary([cameras, images, points]: &[Vec<u8>; 3]) -> Result<SparseModel, 
 }
 
 fn file<'a>(file: &'a str, text: &'a str) -> TextFile<'a> {
-    TextFile { file, text }
+    TextFile::new(file, text.as_bytes()).unwrap()
 }
 
 #[test]
@@ -111,9 +113,9 @@ fn invalid_values_are_refused_by_field() {
     let field = |e: CaptureError| e.field().unwrap().to_owned();
     let cameras =
         |from, to| text::cameras(&file("c", &CAMERAS.replace(from, to))).map_err(field).unwrap_err();
-    assert_eq!(cameras("OPENCV", "FULL_OPENCV"), "cameras[1].model");
+    assert_eq!(cameras("OPENCV", "FULL_OPENCV"), "cameras[1].params");
     assert_eq!(cameras("-0.05", "nan"), "cameras[1].params");
-    assert_eq!(cameras("640 480", "640"), "cameras[1].model");
+    assert_eq!(cameras("640 480", "640"), "cameras[1].params");
     let images =
         |from, to| text::images(&file("i", &IMAGES.replace(from, to)), 9).map_err(field).unwrap_err();
     assert_eq!(images("1 1 0 0 0 ", "1 0 0 0 0 "), "images[a b.jpg].qvec");
@@ -129,7 +131,8 @@ fn points_project_as_in_colmap_and_camera_up_becomes_z() {
     let rotation = DQuat::from_euler(glam::EulerRot::XYZ, 1.4, 0.2, -0.3);
     let image =
         PosedImage { name: "a.jpg".into(), camera: 1, rotation, translation: DVec3::new(0.3, -0.2, 2.0) };
-    let turn = upright([up(&image)].into_iter(), "COLMAP", &mut Vec::new());
+    let turn =
+        upright(&[pose(&image, DQuat::IDENTITY)], UpAxis::Auto, StatedUp::No("COLMAP"), &mut Vec::new());
     let camera = Camera::from_opengl(&pose(&image, turn), (100, 80), (90.0, 95.0), (50.0, 40.0)).unwrap();
     let world = DVec3::new(0.2, 0.1, 0.4);
     let expected = rotation * world + image.translation;
@@ -143,10 +146,7 @@ fn points_project_as_in_colmap_and_camera_up_becomes_z() {
 fn cameras_without_common_up_give_no_rotation_and_a_warning() {
     let image = |rotation| PosedImage { name: "a".into(), camera: 1, rotation, translation: DVec3::ZERO };
     let mut warnings = Vec::new();
-    let turn = upright(
-        [image(DQuat::IDENTITY), image(DQuat::from_rotation_z(3.1))].iter().map(up),
-        "COLMAP",
-        &mut warnings,
-    );
+    let poses = [0.0, 3.1].map(|angle| pose(&image(DQuat::from_rotation_z(angle)), DQuat::IDENTITY));
+    let turn = upright(&poses, UpAxis::Auto, StatedUp::No("COLMAP"), &mut warnings);
     assert_eq!((turn, warnings.len()), (DQuat::IDENTITY, 1));
 }

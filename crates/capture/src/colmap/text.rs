@@ -1,34 +1,45 @@
 //! COLMAP's text files. Errors name the file and the line or entry at fault.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use glam::DVec3;
 
-use super::model::{PosedImage, check_count, coloured, lens, posed};
-use crate::CaptureError;
+use super::camera_models::lens;
+use super::model::{PosedImage, check_count, coloured, posed};
 use crate::formats::ply_points::Point;
 use crate::lens::Lens;
+use crate::{CaptureError, text};
 
 /// A text file with its name for errors.
 pub(super) struct TextFile<'a> {
     pub file: &'a str,
-    pub text: &'a str,
+    text: Cow<'a, str>,
 }
 
 impl<'a> TextFile<'a> {
-    /// The bytes of `file`, which must be UTF-8.
+    /// The bytes of `file`, which must be UTF-8 or UTF-16 with a byte order mark.
     pub(super) fn new(file: &'a str, bytes: &'a [u8]) -> Result<Self, CaptureError> {
-        let text = std::str::from_utf8(bytes).map_err(|_| CaptureError::File {
-            file: file.to_owned(),
-            reason: "is not UTF-8 text".to_owned(),
-        })?;
+        let reason = "is not UTF-8 text".to_owned();
+        let text = text::decode(bytes).ok_or(CaptureError::File { file: file.to_owned(), reason })?;
         Ok(Self { file, text })
     }
 
     /// Lines with their numbers from 1, without comments.
-    fn lines(&self) -> impl Iterator<Item = (usize, &'a str)> {
+    fn lines(&self) -> impl Iterator<Item = (usize, &str)> {
         let numbered = self.text.lines().enumerate().map(|(i, l)| (i + 1, l.trim()));
         numbered.filter(|(_, l)| !l.starts_with('#'))
+    }
+
+    /// The first line of each image. The second has its observations: three numbers each. Some programs omit empty second
+    /// lines, so a line is one of observations only if it looks like one.
+    pub(super) fn image_lines(&self) -> impl Iterator<Item = (usize, &str)> {
+        let mut may_be_observations = false;
+        self.lines().filter(move |(_, line)| {
+            let is_image = !line.is_empty() && !(may_be_observations && is_observations(line));
+            may_be_observations = is_image;
+            is_image
+        })
     }
 
     fn line_error(&self, line: usize, reason: &str) -> CaptureError {
@@ -46,6 +57,13 @@ impl<'a> TextFile<'a> {
         let id = word.and_then(|w| w.parse().ok());
         id.ok_or_else(|| self.line_error(line, "must have a whole number as id"))
     }
+}
+
+/// Whether a line consists of triples of numbers.
+fn is_observations(line: &str) -> bool {
+    let mut words = 0;
+    let are_numbers = line.split_whitespace().inspect(|_| words += 1).all(|word| word.parse::<f64>().is_ok());
+    are_numbers && words % 3 == 0
 }
 
 /// Lenses by camera id.
@@ -66,11 +84,7 @@ pub(super) fn cameras(text: &TextFile<'_>) -> Result<BTreeMap<u32, Lens>, Captur
 /// Images in file order, at most `allowed`.
 pub(super) fn images(text: &TextFile<'_>, allowed: usize) -> Result<Vec<PosedImage>, CaptureError> {
     let mut images = Vec::new();
-    let mut lines = text.lines();
-    while let Some((line, content)) = lines.next() {
-        if content.is_empty() {
-            continue;
-        }
+    for (line, content) in text.image_lines() {
         let words: Vec<&str> = content.split_whitespace().collect();
         let [_id, qw, qx, qy, qz, tx, ty, tz] = text.numbers(line, &words)?;
         let camera = text.id(line, words.get(8))?;
@@ -78,8 +92,6 @@ pub(super) fn images(text: &TextFile<'_>, allowed: usize) -> Result<Vec<PosedIma
         let name = name.ok_or_else(|| text.line_error(line, "has no image name"))?;
         images.push(posed(text.file, name, camera, [qw, qx, qy, qz], [tx, ty, tz])?);
         check_count(text.file, "max_images", images.len(), allowed)?;
-        // The second line contains the observations and may be empty.
-        lines.next();
     }
     Ok(images)
 }

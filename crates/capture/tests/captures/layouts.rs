@@ -1,6 +1,7 @@
 //! Every layout: recognition, cameras, and held-out photographs.
 
 use glam::DVec3;
+use relume_spec::training::UpAxis;
 use serde_json::json;
 
 use relume_capture::formats::image_file;
@@ -172,7 +173,7 @@ fn colmap_model_directly_in_sparse_is_read() {
     let here: Files = colmap().into_iter().map(moved).collect();
     let there = import_folder(&colmap()).unwrap();
     assert_eq!(import_folder(&here).unwrap(), there);
-    let lost: Files = colmap().into_iter().map(|(n, b)| (n.replace("sparse/0/", "model/"), b)).collect();
+    let lost: Files = colmap().into_iter().map(|(n, b)| (n.replace("images.txt", "views.txt"), b)).collect();
     assert!(import_folder(&lost).is_err(), "the control");
 }
 
@@ -206,7 +207,7 @@ fn cameras_read_without_images_equal_the_imported_cameras() {
         let archive = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(archive.path(), zip(&files)).unwrap();
         let capture = import(archive.path(), &ImportOptions::default()).unwrap();
-        let alone = cameras(archive.path(), &ImportLimits::default()).unwrap();
+        let alone = cameras(archive.path(), &ImportLimits::default(), UpAxis::Auto).unwrap();
         assert_eq!(alone.len(), capture.train.len() + capture.test.len());
         assert_eq!(alone.iter().filter(|camera| camera.is_held_out).count(), held_out);
         for camera in &alone {

@@ -7,4 +7,5 @@ mod bad_input;
 mod layouts;
 mod masks;
 mod rig;
+mod variants;
 mod with_data;

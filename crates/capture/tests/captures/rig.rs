@@ -66,12 +66,25 @@ fn a_repeated_frame_is_used_once_and_a_second_pose_is_refused() {
 
 #[test]
 fn cameras_that_look_away_are_reported_with_their_number() {
-    let opencv = |pose: DMat4| DMat4::from_cols(pose.x_axis, -pose.y_axis, -pose.z_axis, pose.w_axis);
-    let said = warnings(|frames| frames.iter_mut().for_each(|frame| change_pose(frame, opencv)));
+    let outwards = |pose: DMat4| pose * DMat4::from_rotation_y(std::f64::consts::PI);
+    let said = warnings(|frames| frames.iter_mut().for_each(|frame| change_pose(frame, outwards)));
     assert!(
-        said.iter().any(|w| w.starts_with("only 0 of 12 cameras look") && w.contains("OpenCV")),
+        said.len() == 1 && said[0].starts_with("only 0 of 12 cameras look") && said[0].contains("a room"),
         "{said:?}"
     );
+}
+
+#[test]
+fn poses_with_opencv_axes_are_converted_and_reported() {
+    let opencv = |pose: DMat4| DMat4::from_cols(pose.x_axis, -pose.y_axis, -pose.z_axis, pose.w_axis);
+    let change = |frames: &mut Vec<Value>| frames.iter_mut().for_each(|frame| change_pose(frame, opencv));
+    let capture = imported(change).unwrap();
+    let said = &capture.warnings;
+    assert!(said.len() == 1 && said[0].contains("OpenCV axes"), "{said:?}");
+    let plain = imported(|_| ()).unwrap();
+    for (converted, plain) in capture.train.iter().zip(&plain.train) {
+        assert_eq!(converted.camera, plain.camera, "{}", plain.name);
+    }
 }
 
 #[test]
@@ -84,7 +97,7 @@ fn a_stray_camera_is_named_and_does_not_move_the_bounds() {
         });
     })
     .unwrap();
-    assert!(stray.warnings.iter().any(|w| w.contains("1 cameras") && w.ends_with("images/5.png")));
+    assert!(stray.warnings.iter().any(|w| w.contains("as the others: 1;") && w.ends_with("images/5.png")));
     let moved = (stray.bounds.centre - plain.bounds.centre).length();
     assert!(
         moved < 0.1 && (stray.bounds.radius / plain.bounds.radius - 1.0).abs() < 0.1,
@@ -94,12 +107,53 @@ fn a_stray_camera_is_named_and_does_not_move_the_bounds() {
 }
 
 #[test]
-fn a_world_whose_up_is_not_z_is_reported() {
-    let y_up = DMat4::from_rotation_x(-std::f64::consts::FRAC_PI_2);
-    let said = warnings(|frames| frames.iter_mut().for_each(|frame| change_pose(frame, |pose| y_up * pose)));
-    assert!(said.len() == 1 && said[0].contains("not +Z") && said[0].contains("the side"), "{said:?}");
+fn a_world_whose_up_is_no_axis_is_reported() {
+    let oblique = DMat4::from_rotation_x(-1.5) * DMat4::from_rotation_y(0.8);
+    let said =
+        warnings(|frames| frames.iter_mut().for_each(|frame| change_pose(frame, |pose| oblique * pose)));
+    assert!(said.len() == 1 && said[0].contains("not +Z") && said[0].contains("--up"), "{said:?}");
     let turned = DMat4::from_rotation_translation(glam::DQuat::from_rotation_z(1.0), DVec3::splat(5.0));
     let same =
         warnings(|frames| frames.iter_mut().for_each(|frame| change_pose(frame, |pose| turned * pose)));
     assert_eq!(same, [""; 0], "the control: rotated about +Z and moved");
+}
+
+#[test]
+fn cameras_that_are_upside_down_are_named() {
+    let roll = DMat4::from_rotation_z(std::f64::consts::PI);
+    let said = warnings(|frames| change_pose(&mut frames[4], |pose| pose * roll));
+    assert!(
+        said.len() == 1 && said[0].contains("upside down") && said[0].ends_with("images/4.png"),
+        "{said:?}"
+    );
+}
+
+#[test]
+fn photographs_with_equal_pixels_are_named() {
+    let mut files = captured(|_| ());
+    files.insert("images/5.png".to_owned(), picture(3));
+    let said = import_folder(&files).unwrap().warnings;
+    assert_eq!(said, ["photographs that equal another one: 1: images/5.png (as images/3.png)"]);
+    // The first photograph is held out.
+    files.insert("images/7.png".to_owned(), picture(0));
+    let said = import_folder(&files).unwrap().warnings;
+    assert!(said.len() == 1 && said[0].contains("held out at once"), "{said:?}");
+}
+
+#[test]
+fn points_that_no_camera_sees_are_reported() {
+    let with_points = |offset: f64| {
+        let mut files = captured(|_| ());
+        let mut set: Value = serde_json::from_slice(&files["transforms.json"]).unwrap();
+        set["ply_file_path"] = json!("points.ply");
+        files.insert("transforms.json".to_owned(), set.to_string().into_bytes());
+        let point = |i: usize| format!("{} {} {offset}\n", i % 4, i / 4);
+        let points: String = (0..16).map(point).collect();
+        let header = "ply\nformat ascii 1.0\nelement vertex 16\nproperty float x\nproperty float y\nproperty float z\n";
+        files.insert("points.ply".to_owned(), format!("{header}end_header\n{points}").into_bytes());
+        import_folder(&files).unwrap().warnings
+    };
+    let said = with_points(50.0);
+    assert!(said.len() == 1 && said[0].contains("only 0 of 12 cameras see the point cloud"), "{said:?}");
+    assert_eq!(with_points(0.0), [""; 0], "the control");
 }

@@ -34,6 +34,41 @@ pub enum LabelSource {
     Both,
 }
 
+/// Direction in the files of a capture that is up. `auto`: the layout's own, or the one on which the cameras agree. `x`, `y`,
+/// `z`, `-x`, `-y`, `-z`: an axis of the files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+pub enum UpAxis {
+    /// The layout's own, or the one on which the cameras agree.
+    #[default]
+    #[serde(rename = "auto")]
+    Auto,
+    /// +X.
+    #[serde(rename = "x")]
+    X,
+    /// +Y.
+    #[serde(rename = "y")]
+    Y,
+    /// +Z.
+    #[serde(rename = "z")]
+    Z,
+    /// -X.
+    #[serde(rename = "-x")]
+    NegX,
+    /// -Y.
+    #[serde(rename = "-y")]
+    NegY,
+    /// -Z.
+    #[serde(rename = "-z")]
+    NegZ,
+}
+
+impl UpAxis {
+    /// True for [`UpAxis::Auto`].
+    pub fn is_auto(&self) -> bool {
+        *self == Self::Auto
+    }
+}
+
 /// Complexity of the model. `auto`: the parts that measurements show the scene needs. `full`: all configured
 /// parts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]

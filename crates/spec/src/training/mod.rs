@@ -20,7 +20,7 @@ use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 
-pub use choices::{Complexity, ComplexitySetting, LabelSource, Preset};
+pub use choices::{Complexity, ComplexitySetting, LabelSource, Preset, UpAxis};
 pub use crop::{Crop, NamedCrop};
 pub use error::ConfigError;
 pub use grey_card::GreyCard;
@@ -224,6 +224,11 @@ settings! {
     /// `[red, green, blue]`.
     #[serde(default = "unknown")]
     white_balance: WhiteBalance = WhiteBalance::AUTO;
+    /// Direction in the files of the capture that is up: `auto`, or an axis of the files: `x`, `y`, `z`, `-x`, `-y` or `-z`. The
+    /// world is rotated so that this direction is +Z. `auto`: the layout's own direction, unless the cameras agree on another
+    /// axis.
+    #[serde(default, skip_serializing_if = "UpAxis::is_auto")]
+    up: UpAxis = UpAxis::Auto;
     /// Part of the scene that becomes the model, for photographs without masks: `none` (the whole scene),
     /// `auto` (the object on the ground plane, if there is one, in the ball around which the cameras stand)
     /// or a ball `[x, y, z, radius]` in units and axes of the capture after import (+Z up). Content outside

@@ -5,11 +5,13 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::eval::exposure::matched;
-use crate::eval::layers::albedo_psnr;
+use crate::eval::layers::{albedo_psnr, masked_psnr};
 use crate::eval::lpips::Lpips;
 use crate::eval::report::{AlbedoScores, ImageScores, RelitScores, Report};
 use crate::eval::totals::{ImageTotals, LayerTotals, Mean};
-use crate::eval::views::{ViewLayers, is_cropped, light_of, photograph, relit, shown_by, with_scaled_albedo};
+use crate::eval::views::{
+    ViewLayers, foreground, is_cropped, light_of, photograph, relit, shown_by, with_scaled_albedo,
+};
 use crate::render::{RenderError, Renderer, RotatedLight};
 use relume_capture::{Capture, CaptureView};
 use relume_engine::{Device, DeviceError};
@@ -54,7 +56,7 @@ impl Default for EvalOptions<'_> {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum EvalError {
     /// The capture has no test views.
-    #[error("the capture has no held-out views to evaluate on")]
+    #[error("the capture has no held-out views that show the object")]
     NoTestViews,
     /// An image or layer of a view has another size than its camera.
     #[error("view {view}: {layer} is {found}, but its camera has {expected} pixels")]
@@ -92,7 +94,8 @@ pub fn evaluate(
     capture: &Capture,
     options: &EvalOptions<'_>,
 ) -> Result<Report, EvalError> {
-    let views = evenly_spaced(&capture.test, options.views);
+    let mut views = evenly_spaced(&capture.test, options.views);
+    views.retain(|view| shows_object(view));
     if views.is_empty() {
         return Err(EvalError::NoTestViews);
     }
@@ -151,6 +154,7 @@ impl Evaluation<'_> {
         let (mut shaded, mut radiance) = (ImageTotals::default(), ImageTotals::default());
         let (mut shaded_matched, mut radiance_matched) = (ImageTotals::default(), ImageTotals::default());
         let mut totals = LayerTotals::default();
+        let (mut inside, mut pixels) = (Mean::default(), (0u64, 0u64));
         for view in &self.views {
             let light = light_of(renderer, view, &mut own)?;
             let layers = ViewLayers::render(renderer, &view.camera, light, self.options.quality)
@@ -162,8 +166,15 @@ impl Evaluation<'_> {
             shaded_matched.add(&at_its_exposure(&layers.shaded), &truth, self.options.lpips);
             radiance_matched.add(&at_its_exposure(&layers.radiance), &truth, self.options.lpips);
             totals.add(&layers, view);
+            let mask = foreground(&view.image);
+            inside.add(masked_psnr(&layers.shaded.values, &truth.values, &mask));
+            pixels.0 += mask.iter().filter(|is_inside| **is_inside).count() as u64;
+            pixels.1 += mask.len() as u64;
             self.step();
         }
+        report.foreground_pixels = pixels.0;
+        report.foreground_share = Some(pixels.0 as f64 / pixels.1.max(1) as f64);
+        report.novel_view_foreground_psnr = inside.value();
         report.novel_view = shaded.scores();
         report.novel_view_radiance = radiance.scores();
         report.novel_view_matched = shaded_matched.scores();
@@ -330,6 +341,7 @@ impl Evaluation<'_> {
 fn clear_material_scores(report: &mut Report) {
     report.novel_view = ImageScores::default();
     report.novel_view_matched = ImageScores::default();
+    report.novel_view_foreground_psnr = None;
     report.albedo = AlbedoScores::default();
     (report.ao_mae, report.roughness_mae, report.metallic_mae) = (None, None, None);
 }
@@ -363,6 +375,11 @@ pub(crate) fn refused(view: &CaptureView, source: RenderError) -> EvalError {
 pub fn evenly_spaced(views: &[CaptureView], count: Option<usize>) -> Vec<&CaptureView> {
     let count = count.unwrap_or(views.len()).min(views.len());
     (0..count).map(|i| &views[i * views.len() / count]).collect()
+}
+
+/// Whether a photograph has a pixel of the object. Without one a comparison would only show that white equals white.
+pub(crate) fn shows_object(view: &CaptureView) -> bool {
+    view.image.is_opaque() || foreground(&view.image).contains(&true)
 }
 
 /// Names of the lights with relit ground truth in some view and a map in the capture.

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use crate::eval::EvalError;
-use crate::eval::evaluate::{check_sizes, refused};
+use crate::eval::evaluate::{check_sizes, refused, shows_object};
 use crate::eval::exposure::matched;
 use crate::eval::report::ImageScores;
 use crate::eval::totals::ImageTotals;
-use crate::eval::views::{ViewLayers, light_of, shown_by};
+use crate::eval::views::{ViewLayers, foreground, light_of, shown_by};
 use crate::render::{Renderer, RotatedLight};
 use relume_capture::CaptureView;
 use relume_engine::Device;
@@ -23,6 +23,7 @@ pub struct NovelViews {
     shaded: ImageTotals,
     radiance: ImageTotals,
     matched: ImageTotals,
+    foreground_pixels: u64,
 }
 
 /// Means over the compared views.
@@ -34,6 +35,8 @@ pub struct NovelViewScores {
     pub radiance: ImageScores,
     /// As `shaded`, at the exposure and white balance of each photograph.
     pub matched: ImageScores,
+    /// Number of pixels of the object in the compared photographs: those inside the masks, without masks all.
+    pub foreground_pixels: u64,
 }
 
 impl NovelViews {
@@ -50,19 +53,25 @@ impl NovelViews {
             shaded: ImageTotals::default(),
             radiance: ImageTotals::default(),
             matched: ImageTotals::default(),
+            foreground_pixels: 0,
         })
     }
 
-    /// Compares one view.
+    /// Compares one view. A view whose mask is empty is not compared.
     ///
     /// # Errors
     /// See [`EvalError`].
     pub fn compare(&mut self, view: &CaptureView) -> Result<(), EvalError> {
         check_sizes(view)?;
+        if !shows_object(view) {
+            return Ok(());
+        }
         let light = light_of(&self.renderer, view, &mut self.light)?;
         let layers = ViewLayers::render(&self.renderer, &view.camera, light, self.quality)
             .map_err(|source| refused(view, source))?;
         let truth = shown_by(self.renderer.model(), view, &layers.alpha);
+        self.foreground_pixels +=
+            foreground(&view.image).iter().filter(|is_inside| **is_inside).count() as u64;
         self.radiance.add(&layers.radiance, &truth, None);
         if self.has_materials {
             self.shaded.add(&layers.shaded, &truth, None);
@@ -74,6 +83,7 @@ impl NovelViews {
     /// Scores of the views compared so far.
     pub fn scores(&self) -> NovelViewScores {
         let (shaded, radiance) = (self.shaded.scores(), self.radiance.scores());
-        NovelViewScores { shaded, radiance, matched: self.matched.scores() }
+        let (matched, foreground_pixels) = (self.matched.scores(), self.foreground_pixels);
+        NovelViewScores { shaded, radiance, matched, foreground_pixels }
     }
 }

@@ -55,8 +55,17 @@ pub struct NormalScores {
 pub struct Report {
     /// Description of the comparison: sizes, window, masks, curve.
     pub protocol: String,
-    /// Number of compared test views.
+    /// Number of compared test views. A view whose mask is empty is not compared.
     pub views: usize,
+    /// Number of pixels of the object in the photographs of these views: those inside the masks, without masks all.
+    #[serde(default)]
+    pub foreground_pixels: u64,
+    /// Share of these pixels among all pixels, 0 to 1. The image scores also count the white background.
+    #[serde(default)]
+    pub foreground_share: Option<f64>,
+    /// PSNR of `novel_view` over the pixels of the object alone, dB.
+    #[serde(default)]
+    pub novel_view_foreground_psnr: Option<f64>,
     /// Held-out views, physically based branch under the recovered light.
     pub novel_view: ImageScores,
     /// Held-out views, radiance branch.
@@ -150,6 +159,9 @@ impl Report {
             ("training time (s)", figure(self.training_seconds, 0)),
             ("Gaussians", self.gaussians.to_string()),
             ("test views", self.views.to_string()),
+            ("pixels of the object in the test views", self.foreground_pixels.to_string()),
+            ("share of these among all pixels", figure(self.foreground_share, 3)),
+            ("novel view PSNR, foreground (dB)", figure(self.novel_view_foreground_psnr, 2)),
         ];
         rows.retain(|(_, value)| !value.is_empty());
         let rows = rows.into_iter().map(|(name, value)| (name.to_owned(), value));
