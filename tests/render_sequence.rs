@@ -66,7 +66,7 @@ fn turntable_frames_equal_single_renders_and_can_be_resumed() {
     fs::remove_file(frames.join(files[2])).unwrap();
     fs::write(frames.join(files[1]), "made earlier").unwrap();
     let said = succeeds(at, &[&turntable[..], &["--resume"]].concat());
-    assert!(said.contains("wrote 1 frames, 3 existed already"), "{said}");
+    assert!(said.contains("frames written: 1, existed already: 3"), "{said}");
     assert!(read(files[2]) == whole[2], "the missing frame is made");
     assert_eq!(read(files[1]), b"made earlier", "what was there stays");
     succeeds(at, &turntable);
