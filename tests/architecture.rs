@@ -115,6 +115,24 @@ fn no_test_name_exceeds_the_length_limit() {
 }
 
 #[test]
+fn every_test_in_the_table_of_formats_exists() {
+    let files = ["src", "crates", "tests"].map(|folder| files_under(&root().join(folder), &["rs"]));
+    let tests: BTreeSet<String> = files.iter().flatten().flat_map(|file| tests_of(&read(file))).collect();
+    let named = named_tests(&read(&root().join("docs/guide/compatibility.md")));
+    assert!(named.len() > 30, "{named:?}");
+    let missing: Vec<&String> = named.iter().filter(|name| !tests.contains(*name)).collect();
+    assert!(missing.is_empty(), "docs/guide/compatibility.md names tests that do not exist: {missing:?}");
+    assert_eq!(named_tests("| `a` | `b.rs::c`, `d::e` (data) | f::g |"), ["c", "e"]);
+    assert!(!tests.contains("c"), "the control");
+}
+
+/// The functions of names such as `FILE::FUNCTION` in the code spans of a text.
+fn named_tests(text: &str) -> Vec<String> {
+    let spans = text.split('`').skip(1).step_by(2);
+    spans.filter_map(|span| Some(span.rsplit_once("::")?.1.to_owned())).collect()
+}
+
+#[test]
 fn no_text_contains_a_machine_specific_path() {
     let mut found = Vec::new();
     for file in texts() {

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use serde_json::json;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::service_support::capture_zip;
@@ -66,7 +66,7 @@ fn turntable_frames_equal_single_renders_and_can_be_resumed() {
     fs::remove_file(frames.join(files[2])).unwrap();
     fs::write(frames.join(files[1]), "made earlier").unwrap();
     let said = succeeds(at, &[&turntable[..], &["--resume"]].concat());
-    assert!(said.contains("wrote 1 frames, 3 existed already"), "{said}");
+    assert!(said.contains("frames written: 1, existed already: 3"), "{said}");
     assert!(read(files[2]) == whole[2], "the missing frame is made");
     assert_eq!(read(files[1]), b"made earlier", "what was there stays");
     succeeds(at, &turntable);
@@ -80,6 +80,39 @@ fn turntable_frames_equal_single_renders_and_can_be_resumed() {
     assert!(files.map(read) == whole, "frames of a task are those of the sequence");
     fails_with(at, &[&turntable[..], &["--frames", "1005"]].concat(), "the frames are 1001 to 1004");
     fails_with(at, &[&turntable[..], &["--frames", "4-1"]].concat(), "1-10");
+}
+
+#[test]
+fn paths_of_nerfstudio_are_rendered_and_transposed_ones_refused() {
+    let folder = with_model();
+    let at = folder.path();
+    let rows = [[0.0, 0.0, 1.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+    let columns: Vec<f64> = (0..16).map(|i| rows[i % 4][i / 4]).collect();
+    let look = json!({ "look_at": { "eye": [3, 0, 0], "target": [0, 0, 0], "fov_y_deg": 40 } });
+    let path = |matrix: Value| {
+        let entry = json!({ "camera_to_world": matrix, "fov": 40.0, "aspect": 2.0 });
+        json!({ "camera_type": "perspective", "render_height": 16.0, "render_width": 32.0, "camera_path": [entry] })
+    };
+    let render = ["render", "m.safetensors", "--device", "cpu", "--path"];
+    let picture = |name: &str, file: Value| {
+        fs::write(at.join(format!("{name}.json")), file.to_string()).unwrap();
+        let (input, frames) = (format!("{name}.json"), format!("{name}/%d.png"));
+        succeeds(at, &[&render[..], &[input.as_str(), "--out", frames.as_str()]].concat());
+        fs::read(at.join(name).join("1.png")).unwrap()
+    };
+    let flat: Vec<f64> = rows.into_iter().flatten().collect();
+    let wanted = picture("own", json!({ "width": 32, "height": 16, "cameras": [{ "camera": look }] }));
+    assert!(picture("flat", path(json!(flat))) == wanted);
+    assert!(picture("nested", path(json!(rows))) == wanted);
+    let mut nearer = rows;
+    nearer[0][3] = 2.0;
+    assert!(picture("nearer", path(json!(nearer))) != wanted, "the control");
+
+    fs::write(at.join("columns.json"), path(json!(columns)).to_string()).unwrap();
+    let columns = [&render[..], &["columns.json", "--out", "n/%d.png"]].concat();
+    let said = "columns.json: camera_path[0].camera_to_world: the last row must be 0 0 0 1, got 3 0 0 1; the matrix looks transposed";
+    fails_with(at, &columns, said);
+    assert!(!at.join("n").exists());
 }
 
 #[test]

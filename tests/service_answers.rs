@@ -3,7 +3,7 @@
 use relume::testing;
 use relume_capture::formats::environment;
 use relume_scene::EnvMap;
-use reqwest::{Method, RequestBuilder, StatusCode, header};
+use reqwest::{Method, RequestBuilder, Response, StatusCode, header};
 use serde_json::Value;
 
 use crate::service_support::{capture_zip, small_job, trained};
@@ -26,6 +26,66 @@ async fn head_of_a_thumbnail_returns_its_etag_without_rendering() {
     }
     // A rendered answer states its rendering time.
     assert!(!head.contains_key("server-timing") && get.contains_key("server-timing"));
+}
+
+/// The `Content-Length` that an answer states.
+fn stated_length(answer: &Response) -> Option<usize> {
+    let length = answer.headers().get(header::CONTENT_LENGTH)?;
+    Some(length.to_str().unwrap().parse().unwrap())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn head_states_the_length_of_get_or_no_length() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let job = trained(client).await;
+    let (capture, model) = (&job.capture, job.model.as_ref().unwrap());
+    let ask = async |method: Method, path: &str| {
+        let answer = client.request(method, path).unwrap().send().await.unwrap();
+        assert_eq!(answer.status(), StatusCode::OK, "{path}");
+        answer
+    };
+    for (path, is_stated) in [
+        (format!("/v1/models/{model}/thumbnail?size=16"), false),
+        (format!("/v1/models/{model}/thumbnail?size=16&format=jpeg"), false),
+        (format!("/v1/models/{model}/stream"), false),
+        (format!("/v1/models/{model}/light?environment=studio"), false),
+        (format!("/v1/captures/{capture}/photographs/train%2Fr_1.png?width=16"), false),
+        (format!("/v1/captures/{capture}/photographs/train%2Fr_2.png"), false),
+        (format!("/v1/jobs/{}/events", job.id), false),
+        (format!("/v1/models/{model}/files/model.safetensors"), true),
+        (format!("/v1/models/{model}"), true),
+        ("/v1/openapi.json".to_owned(), true),
+        ("/".to_owned(), true),
+    ] {
+        // Before and after the server has the bytes in its cache.
+        let before = ask(Method::HEAD, &path).await;
+        let bytes = ask(Method::GET, &path).await.bytes().await.unwrap().len();
+        let after = ask(Method::HEAD, &path).await;
+        assert!(bytes > 0, "{path}");
+        for length in [stated_length(&before), stated_length(&after)] {
+            assert!(length.is_none_or(|length| length == bytes), "{path}: {length:?}, not {bytes}");
+            assert!(length.is_some() || !is_stated, "the control: {path}");
+        }
+        let Some(tag) = after.headers().get(header::ETAG) else { continue };
+        let known = client.request(Method::HEAD, &path).unwrap().header(header::IF_NONE_MATCH, tag);
+        let known = known.send().await.unwrap();
+        assert_eq!((known.status(), stated_length(&known)), (StatusCode::NOT_MODIFIED, None), "{path}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn event_streams_ask_proxies_not_to_buffer() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let job = trained(client).await.id;
+    let ask = async |path: String| client.request(Method::GET, &path).unwrap().send().await.unwrap();
+    let events = ask(format!("/v1/jobs/{job}/events")).await;
+    assert_eq!(events.headers()["x-accel-buffering"], "no");
+    assert_eq!(events.headers()[header::CACHE_CONTROL], "no-cache");
+    assert_eq!(events.headers()[header::CONTENT_TYPE], "text/event-stream");
+    let view = ask(format!("/v1/jobs/{job}")).await;
+    assert!(!view.headers().contains_key("x-accel-buffering"), "the control");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -74,8 +74,14 @@ async fn cameras_have_etags_and_invalid_ones_are_refused_by_field() {
     assert_eq!((wrong.status().as_u16(), pointer(wrong).await), (422, json!("query/convention")));
 
     let matrix = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]];
+    let transposed = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 3, 1]];
     let pose = json!({ "qvec": [1, 0, 0, 0], "tvec": [0, 0, 3] });
     for (camera, wanted) in [
+        (json!({ "camera_to_world": transposed, "fov_y_deg": 40 }), "/camera/camera_to_world"),
+        (
+            json!({ "camera_to_world": transposed, "axes": "opencv", "fov_y_deg": 40 }),
+            "/camera/camera_to_world",
+        ),
         (json!({ "camera_to_world": matrix, "colmap": pose, "fov_y_deg": 40 }), "/camera"),
         (json!({ "fov_y_deg": 40 }), "/camera"),
         (json!({ "colmap": pose }), "/camera"),

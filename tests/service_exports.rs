@@ -462,10 +462,10 @@ async fn a_video_export_shows_the_same_frames_as_the_zip() {
         "error",
         "-count_frames",
         "-show_entries",
-        "stream=codec_name,width,height,r_frame_rate,nb_read_frames",
+        "stream=codec_name,width,height,color_range,color_space,color_transfer,color_primaries,r_frame_rate,nb_read_frames",
     ];
     let told = Command::new("ffprobe").args(probe).args(["-of", "csv=p=0"]).arg(&file).output().unwrap();
-    assert_eq!(String::from_utf8_lossy(&told.stdout).trim(), "h264,64,48,10/1,5");
+    assert_eq!(String::from_utf8_lossy(&told.stdout).trim(), "h264,64,48,tv,bt709,bt709,bt709,10/1,5");
     // The first image equals the first frame of a zip over white, within the loss of the codec.
     let picture = folder.path().join("first.png");
     let first = ["-v", "error", "-frames:v", "1", "-y"];

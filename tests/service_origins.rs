@@ -7,6 +7,8 @@ use reqwest::{Method, RequestBuilder, StatusCode, header};
 use serde_json::Value;
 use tempfile::TempDir;
 
+use crate::service_support::trained;
+
 const KEY: &str = "a-key-for-this-test";
 
 async fn server_with(change: impl FnOnce(&mut ServerConfig)) -> TestServer {
@@ -54,7 +56,7 @@ async fn cors_wildcard_allows_all_origins_without_credentials() {
     assert_eq!(answer.headers()[header::ACCESS_CONTROL_ALLOW_ORIGIN], "*");
     assert!(!answer.headers().contains_key(header::ACCESS_CONTROL_ALLOW_CREDENTIALS));
     let exposed = answer.headers()[header::ACCESS_CONTROL_EXPOSE_HEADERS].to_str().unwrap();
-    for name in ["etag", "location", "relume-depth-range", "retry-after"] {
+    for name in ["content-range", "etag", "location", "relume-depth-range", "retry-after"] {
         assert!(exposed.split(',').any(|e| e.eq_ignore_ascii_case(name)), "{name} in {exposed}");
     }
     let preflight = request(&server, Method::OPTIONS, "/v1/jobs")
@@ -65,6 +67,44 @@ async fn cors_wildcard_allows_all_origins_without_credentials() {
     assert!(answer.status().is_success());
     let allowed = answer.headers()[header::ACCESS_CONTROL_ALLOW_HEADERS].to_str().unwrap();
     assert!(allowed.contains("authorization"), "{allowed}");
+}
+
+/// Headers that pages may always read (Fetch standard, CORS-safelisted response-header names), and those that are for the browser.
+const NOT_EXPOSED: [&str; 10] = [
+    "access-control-allow-origin",
+    "access-control-expose-headers",
+    "cache-control",
+    "content-length",
+    "content-security-policy",
+    "content-type",
+    "date",
+    "referrer-policy",
+    "vary",
+    "x-content-type-options",
+];
+
+#[tokio::test(flavor = "multi_thread")]
+async fn pages_may_read_every_header_of_an_answer() {
+    let server = server_with(listing("https://app.example")).await;
+    let model = trained(server.client()).await.model.unwrap();
+    let file = format!("/v1/models/{model}/files/model.safetensors");
+    for (path, status, own) in [
+        (file, StatusCode::PARTIAL_CONTENT, "content-range"),
+        (format!("/v1/models/{model}/thumbnail?size=16"), StatusCode::OK, "server-timing"),
+        ("/v1/models/nobody".to_owned(), StatusCode::NOT_FOUND, "x-request-id"),
+    ] {
+        let page = request(&server, Method::GET, &path).header(header::ORIGIN, "https://app.example");
+        let answer = page.header(header::RANGE, "bytes=0-9").send().await.unwrap();
+        assert_eq!(answer.status(), status, "{path}");
+        assert!(answer.headers().contains_key(own), "the control: {path}");
+        let exposed = answer.headers()[header::ACCESS_CONTROL_EXPOSE_HEADERS].to_str().unwrap();
+        let exposed: Vec<&str> = exposed.split(',').map(str::trim).collect();
+        let names = answer.headers().keys().map(|name| name.as_str());
+        let hidden: Vec<&str> =
+            names.filter(|name| !NOT_EXPOSED.contains(name) && !exposed.contains(name)).collect();
+        assert!(hidden.is_empty(), "{path}: {hidden:?}");
+        assert!(!exposed.contains(&"date"), "the control: not everything is exposed");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -139,11 +139,16 @@ mod tests {
     #[test]
     fn invalid_camera_paths_are_refused_with_a_pointer() {
         let look = json!({ "look_at": { "eye": [3, 0, 0], "target": [3, 0, 0], "fov_y_deg": 40 } });
+        let transposed = rows(camera().to_opengl().transpose());
         for (file, wanted) in [
             (json!({}), ""),
             (json!({ "cameras": [{ "camera": {} }] }), "/cameras/0/camera"),
             (json!({ "cameras": [{ "camera": look }] }), "/cameras/0/camera/look_at/target"),
             (json!({ "cameras": [{ "camera": { "fov": 3 } }] }), "/cameras/0/camera/fov"),
+            (
+                json!({ "cameras": [{ "camera": { "camera_to_world": transposed, "fov_y_deg": 40 } }] }),
+                "/cameras/0/camera/camera_to_world",
+            ),
             (
                 json!({ "camera_path": [{ "camera_to_world": [1, 2], "fov": 50 }] }),
                 "/camera_path/0/camera_to_world",

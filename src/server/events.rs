@@ -5,10 +5,9 @@ use std::convert::Infallible;
 use std::time::Duration;
 
 use axum::extract::State;
-use axum::http::HeaderMap;
-use axum::response::Sse;
+use axum::http::{HeaderMap, HeaderName};
 use axum::response::sse::{Event, KeepAlive};
-use futures::Stream;
+use axum::response::{IntoResponse, Sse};
 use serde::Deserialize;
 use tokio::sync::watch;
 use utoipa::IntoParams;
@@ -26,8 +25,10 @@ use relume_api::{JobId, KeyId, TenantId};
 
 /// Time for which a listener waits for a notification before it queries the database.
 const POLL: Duration = Duration::from_secs(2);
-/// Interval of comments that keep idle connections open.
+/// Interval of comments that keep idle connections open. Proxies close a connection that is idle for a minute or more.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
+/// Makes proxies that know the header (nginx) pass each event on at once. axum adds `Cache-Control: no-cache`.
+const UNBUFFERED: [(HeaderName, &str); 1] = [(HeaderName::from_static("x-accel-buffering"), "no")];
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
@@ -70,7 +71,7 @@ async fn job_events(
     UrlPath(id): UrlPath<JobId>,
     QueryString(query): QueryString<EventQuery>,
     headers: HeaderMap,
-) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {
+) -> Result<impl IntoResponse, Problem> {
     if app.store.job(&caller.tenant, &id).await?.is_none() {
         return Err(Problem::not_found("job", id.as_str()));
     }
@@ -94,9 +95,9 @@ async fn job_events(
     };
     let stream = futures::stream::unfold(listener, |mut listener| async move {
         let event = listener.next().await?;
-        Some((Ok(event), listener))
+        Some((Ok::<_, Infallible>(event), listener))
     });
-    Ok(Sse::new(stream).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
+    Ok((UNBUFFERED, Sse::new(stream).keep_alive(KeepAlive::new().interval(KEEP_ALIVE))))
 }
 
 /// An event in the form of the stream: its data with its time.

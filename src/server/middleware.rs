@@ -3,9 +3,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::body::{Body, Bytes, HttpBody};
 use axum::error_handling::HandleErrorLayer;
-use axum::extract::DefaultBodyLimit;
-use axum::http::{HeaderName, HeaderValue, StatusCode, header};
+use axum::extract::{DefaultBodyLimit, Request};
+use axum::http::{HeaderName, HeaderValue, Method, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::Response;
 use axum::{BoxError, Router, middleware};
 use tower::ServiceBuilder;
 use tower::limit::GlobalConcurrencyLimitLayer;
@@ -91,6 +94,7 @@ pub(super) fn with_middleware(routes: Router<AppState>, config: MiddlewareConfig
     routes.layer(
         ServiceBuilder::new()
             .layer(middleware::from_fn(telemetry::instrument))
+            .layer(middleware::from_fn(without_false_length))
             .layer(fixed(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
             .layer(fixed(header::REFERRER_POLICY, "no-referrer"))
             .layer(unless_set(header::CONTENT_SECURITY_POLICY, NOT_A_PAGE))
@@ -117,6 +121,20 @@ fn fixed(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<Header
     SetResponseHeaderLayer::overriding(name, HeaderValue::from_static(value))
 }
 
+/// Removes the length of empty answers to `HEAD`. A handler that makes no body for `HEAD` does not know the length that `GET`
+/// would have, but axum would state the length 0 of the empty body. `HEAD` must state the length of `GET` or none (RFC 9110,
+/// section 8.6).
+async fn without_false_length(request: Request, next: Next) -> Response {
+    let is_head = request.method() == Method::HEAD;
+    let response = next.run(request).await;
+    let is_empty = response.body().size_hint().exact() == Some(0);
+    match is_head && is_empty && !response.headers().contains_key(header::CONTENT_LENGTH) {
+        // The length of a stream is unknown. axum removes the body itself.
+        true => response.map(|_| Body::from_stream(futures::stream::empty::<Result<Bytes, BoxError>>())),
+        false => response,
+    }
+}
+
 async fn out_of_bounds(error: BoxError) -> Problem {
     if error.is::<tower::load_shed::error::Overloaded>() {
         let title = "Too many requests of this kind are in progress";
@@ -132,9 +150,7 @@ async fn out_of_bounds(error: BoxError) -> Problem {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use axum::body::Body;
-    use axum::extract::Request;
-    use axum::response::Response;
+    use axum::response::IntoResponse;
     use axum::routing::get;
     use tokio::sync::Notify;
     use tower::ServiceExt;
@@ -175,5 +191,31 @@ mod tests {
         let (router, _go) =
             routes(&RouteLimits { max_concurrent: 1, per_tenant: 1, timeout: Duration::from_secs(5) });
         assert_eq!(ask(&router, "/a").await.status(), StatusCode::REQUEST_TIMEOUT);
+    }
+
+    #[tokio::test]
+    async fn head_without_a_body_states_no_length() {
+        let body = |method: Method| async move { if method == Method::HEAD { "" } else { "whole" } };
+        let sized = || async { ([(header::CONTENT_LENGTH, "0")], "").into_response() };
+        let routes = Router::new().route("/left-out", get(body)).route("/made", get(|| async { "whole" }));
+        let routes = routes.route("/sized", get(sized));
+        let length = async |routes: Router, method: Method, path: &str| {
+            let request = Request::builder().method(method).uri(path).body(Body::empty()).unwrap();
+            let response = routes.oneshot(request).await.unwrap();
+            let length = response.headers().get(header::CONTENT_LENGTH)?;
+            Some(length.to_str().unwrap().to_owned())
+        };
+        let bare = routes.clone();
+        assert_eq!(length(bare, Method::HEAD, "/left-out").await.as_deref(), Some("0"), "the control");
+        let routes = routes.layer(middleware::from_fn(without_false_length));
+        for (method, path, wanted) in [
+            (Method::HEAD, "/left-out", None),
+            (Method::GET, "/left-out", Some("5")),
+            (Method::HEAD, "/made", Some("5")),
+            (Method::GET, "/made", Some("5")),
+            (Method::HEAD, "/sized", Some("0")),
+        ] {
+            assert_eq!(length(routes.clone(), method, path).await.as_deref(), wanted, "{path}");
+        }
     }
 }

@@ -6,17 +6,28 @@ use axum::http::{HeaderName, HeaderValue, Method, Uri, header};
 use tower_http::cors::{AllowHeaders, AllowMethods, AllowOrigin, CorsLayer, ExposeHeaders};
 
 /// Headers that pages may read in addition to the CORS-safelisted ones.
-const EXPOSED: [HeaderName; 15] = [
+const EXPOSED: [HeaderName; 26] = [
+    header::ACCEPT_RANGES,
+    header::ALLOW,
+    header::CONTENT_DISPOSITION,
+    header::CONTENT_RANGE,
     header::ETAG,
     header::LOCATION,
     header::RETRY_AFTER,
+    header::WWW_AUTHENTICATE,
     HeaderName::from_static("idempotent-replayed"),
+    HeaderName::from_static("preference-applied"),
     HeaderName::from_static("ratelimit"),
     HeaderName::from_static("ratelimit-policy"),
     HeaderName::from_static("relume-depth-range"),
     HeaderName::from_static("relume-step"),
+    HeaderName::from_static("repr-digest"),
     HeaderName::from_static("server-timing"),
+    HeaderName::from_static("tus-checksum-algorithm"),
+    HeaderName::from_static("tus-extension"),
+    HeaderName::from_static("tus-max-size"),
     HeaderName::from_static("tus-resumable"),
+    HeaderName::from_static("tus-version"),
     HeaderName::from_static("upload-expires"),
     HeaderName::from_static("upload-length"),
     HeaderName::from_static("upload-metadata"),

@@ -70,7 +70,8 @@ pub struct CapturedCamera {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CameraSpec {
-    /// Rows of the camera-to-world matrix, capture units.
+    /// Rows of the camera-to-world matrix, capture units. The last row is 0 0 0 1. Programs that store matrices
+    /// by columns, such as three.js, must transpose them.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub camera_to_world: Option<[[f64; 4]; 4]>,
     /// Axes of `camera_to_world`. Omitted: `opengl`.
@@ -235,4 +236,26 @@ pub struct LookAtSpec {
 
 fn world_up() -> [f64; 3] {
     [0.0, 0.0, 1.0]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_transposed_camera_matrix_is_refused_by_name() {
+        let size = (64, 48);
+        let camera = Camera::look_at(DVec3::new(3.0, 1.0, 1.0), DVec3::ZERO, DVec3::Z, 0.7, size).unwrap();
+        for convention in [CameraConvention::Opengl, CameraConvention::Opencv] {
+            let spec = CameraSpec::of(&camera, convention);
+            assert!(spec.camera(size).is_ok(), "the control");
+            let rows = DMat4::from_cols_array_2d(&spec.camera_to_world.unwrap());
+            // The 16 numbers of a column-major program, taken as rows.
+            let columns = rows.transpose().to_cols_array_2d();
+            let error = CameraSpec { camera_to_world: Some(columns), ..spec }.camera(size).unwrap_err();
+            assert_eq!(error.pointer, "/camera_to_world");
+            assert!(error.detail.contains("the last row must be 0 0 0 1"), "{error:?}");
+            assert!(error.detail.contains("looks transposed"), "{error:?}");
+        }
+    }
 }

@@ -1,7 +1,7 @@
 //! Pinhole cameras. Inside Relume every camera uses OpenCV axes (x right, y down, z forward) and stores world-to-camera.
 //! nerfstudio, Blender and, by default, the API use camera-to-world in OpenGL axes.
 
-use glam::{DMat3, DMat4, DQuat, DVec3};
+use glam::{DMat3, DMat4, DQuat, DVec3, DVec4};
 
 /// A posed pinhole camera without distortion.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -28,6 +28,8 @@ pub struct Camera {
 const FOCAL_LENGTHS: std::ops::RangeInclusive<f64> = 1e-7..=1e13;
 /// Largest distance of a principal point from the image's corner, pixels.
 const MAX_PRINCIPAL_POINT: f64 = 1e9;
+/// Largest deviation of the last row of a pose from 0 0 0 1: the rounding of programs that compute with 32-bit floats.
+const LAST_ROW_TOLERANCE: f64 = 1e-6;
 
 /// Why a camera was refused. `field` is the caller's name of the value at fault.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -51,7 +53,8 @@ impl Camera {
     /// The upper 3x3 may carry a uniform scale, which is removed.
     ///
     /// # Errors
-    /// Names `transform_matrix` when it has a non-finite entry, is singular, mirrored or not a similarity.
+    /// Names `transform_matrix` when it has a non-finite entry, is singular, mirrored or not a similarity, or when its last row is
+    /// not 0 0 0 1.
     pub fn from_opengl(
         c2w: &DMat4,
         (width, height): (u32, u32),
@@ -76,12 +79,35 @@ impl Camera {
         if skew.iter().any(|v| v.abs() > 1e-3) {
             return bad("is not a rotation: its columns are not orthogonal and of one length");
         }
+        Self::check_last_row(c2w)?;
         let right = axes.x_axis.normalize();
         let up = (axes.y_axis - right * right.dot(axes.y_axis)).normalize();
         let back = right.cross(up);
         let rotation = DMat3::from_cols(right, -up, -back).transpose();
         let centre = c2w.w_axis.truncate();
         Self { width, height, fx, fy, cx, cy, rotation, translation: -(rotation * centre) }.validated()
+    }
+
+    /// Refuses a camera-to-world matrix whose last row is not 0 0 0 1: it is no pose, and its last column is not the centre of the
+    /// camera. A column-major list of numbers that was read row by row is the usual cause.
+    ///
+    /// # Errors
+    /// Names `transform_matrix`.
+    pub fn check_last_row(c2w: &DMat4) -> Result<(), CameraError> {
+        let is_unit = |row: DVec4| row.abs_diff_eq(DVec4::W, LAST_ROW_TOLERANCE);
+        let last = c2w.row(3);
+        if is_unit(last) {
+            return Ok(());
+        }
+        let [x, y, z, w] = last.to_array();
+        let hint = match is_unit(c2w.w_axis) {
+            true => "; the matrix looks transposed (column-major, as three.js writes it)",
+            false => "",
+        };
+        Err(CameraError::new(
+            "transform_matrix",
+            format!("the last row must be 0 0 0 1, got {x} {y} {z} {w}{hint}"),
+        ))
     }
 
     /// From a camera-to-world matrix in OpenCV axes (x right, y down, looking along +z).
@@ -94,6 +120,7 @@ impl Camera {
         focal: (f64, f64),
         centre: (f64, f64),
     ) -> Result<Self, CameraError> {
+        Self::check_last_row(c2w)?;
         Self::from_opengl(&between_axes(c2w), size, focal, centre)
     }
 
@@ -315,6 +342,34 @@ mod tests {
             let err = Camera::from_opengl(&m, (4, 4), (1.0, 1.0), (2.0, 2.0)).unwrap_err();
             assert_eq!(err.field, "transform_matrix");
         }
+    }
+
+    #[test]
+    fn a_last_row_other_than_0_0_0_1_is_refused() {
+        let cam = example();
+        let read = |m: DMat4| Camera::from_opengl(&m, (64, 48), (cam.fx, cam.fy), (cam.cx, cam.cy));
+        let good = cam.to_opengl();
+        assert!(read(good).is_ok(), "the control");
+        let transposed = read(good.transpose()).unwrap_err();
+        assert_eq!(transposed.field, "transform_matrix");
+        assert!(transposed.reason.contains("must be 0 0 0 1"), "{transposed}");
+        assert!(transposed.reason.contains("looks transposed"), "{transposed}");
+        let with_last_row = |row: [f64; 4]| {
+            let mut rows = good.transpose();
+            rows.w_axis = DVec4::from(row);
+            rows.transpose()
+        };
+        for row in [[0.0, 0.0, 0.0, 2.0], [0.0, 0.0, 1e-3, 1.0], [0.0; 4], [0.0, 0.0, 0.0, -1.0]] {
+            let error = read(with_last_row(row)).unwrap_err();
+            assert!(error.reason.contains("must be 0 0 0 1"), "{row:?}: {error}");
+            assert!(!error.reason.contains("transposed"), "{row:?}: {error}");
+        }
+        assert!(read(with_last_row([0.0, 0.0, f64::NAN, 1.0])).is_err());
+        assert_eq!(
+            read(with_last_row([0.0, 1e-8, 0.0, 1.0 - 1e-8])),
+            read(good),
+            "rounding of 32-bit floats"
+        );
     }
 
     #[test]

@@ -71,7 +71,7 @@ fn find(input: &Path, out: Option<&Path>, args: &PoseArgs) -> CommandResult<Opti
     };
     let into = out.map_or_else(|| beside(input, "poses"), Path::to_owned);
     eprintln!(
-        "{}: {} photographs without poses; finding poses with COLMAP, into {}",
+        "{}: photographs without poses: {}; finding poses with COLMAP, into {}",
         photographs.display(),
         photos_without_poses.photos().len(),
         into.display()

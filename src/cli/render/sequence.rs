@@ -45,8 +45,8 @@ pub(super) fn sequence(
     }
     bar.finish();
     let there = frames.len() - written;
-    let kept = if there > 0 { format!(", {there} existed already") } else { String::new() };
-    eprintln!("wrote {written} frames{kept}");
+    let kept = if there > 0 { format!(", existed already: {there}") } else { String::new() };
+    eprintln!("frames written: {written}{kept}");
     Ok(())
 }
 

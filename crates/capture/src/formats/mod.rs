@@ -14,6 +14,7 @@ pub mod ply_import;
 pub mod ply_model;
 pub mod ply_points;
 mod ply_table;
+pub mod png_colour;
 pub mod splats;
 pub mod usd;
 pub mod viewer_stream;

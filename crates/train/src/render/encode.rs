@@ -6,6 +6,7 @@ use crate::render::{EncodeOptions, Frame};
 use relume_capture::formats::ImageFileError;
 use relume_capture::formats::exr_frame::{self, FrameLayer, FrameLayers};
 use relume_capture::formats::image_file::{encode_jpeg, encode_png, encode_png16};
+use relume_capture::formats::png_colour::{PngColour, with_colour};
 use relume_scene::srgb;
 use relume_spec::rendering::{
     AlphaMode, Background, ColourDepth, FrameFormat, Output, Primaries, ToneCurve, is_colour,
@@ -28,6 +29,7 @@ pub struct EncodedFrame {
 ///   16 bit with [`ToneCurve::Linear`]. A background colour is blended in display values.
 /// - `normal`: 16 bit, `(n + 1) / 2`. `metallic`, `roughness`, `visibility`, `alpha`: 8-bit grey, linear.
 /// - `depth`: 16-bit grey, linear between the nearest and farthest depth of the frame.
+/// - A PNG states its colour space: `sRGB`, or `gAMA` 1 for linear light and for outputs that are not colours.
 /// - EXR: linear. Colours in part `beauty` (`rgb` with alpha as `RGBA`), premultiplied unless
 ///   [`EncodeOptions::alpha`] specifies otherwise; all other outputs in part `data`. 32-bit floats.
 ///
@@ -68,25 +70,31 @@ pub fn encode_wanted_frame(
 fn png(frame: &Frame, output: Output, options: &EncodeOptions) -> Result<EncodedFrame, ImageFileError> {
     let (w, h) = (frame.width, frame.height);
     let bare = |bytes| EncodedFrame { bytes, depth_range: None };
+    let linear = |png: Vec<u8>| with_colour(&png, PngColour::Linear);
     if is_colour(output) {
         return match options.tone_curve {
-            ToneCurve::Linear => encode_png16(w, h, &colour::<u16>(frame, output, options)?).map(bare),
-            _ => encode_png(w, h, &colour::<u8>(frame, output, options)?).map(bare),
+            ToneCurve::Linear => {
+                linear(encode_png16(w, h, &colour::<u16>(frame, output, options)?)?).map(bare)
+            }
+            _ => {
+                let png = encode_png(w, h, &colour::<u8>(frame, output, options)?)?;
+                with_colour(&png, PngColour::Srgb).map(bare)
+            }
         };
     }
     let values = plane(frame, output)?;
     if output == Output::Depth {
         let (levels, range) = depth_levels(values);
-        let bytes = encode_png16(w, h, &levels)?;
+        let bytes = linear(encode_png16(w, h, &levels)?)?;
         return Ok(EncodedFrame { bytes, depth_range: Some(range) });
     }
     if output.channels() == 3 {
         let level = |v: f32| ((v * 0.5 + 0.5).clamp(0.0, 1.0) * 65535.0).round() as u16;
         let pixels: Vec<[u16; 3]> = values.as_chunks::<3>().0.iter().map(|p| p.map(level)).collect();
-        return encode_png16(w, h, &pixels).map(bare);
+        return linear(encode_png16(w, h, &pixels)?).map(bare);
     }
     let level = |v: &f32| [(v.clamp(0.0, 1.0) * 255.0).round() as u8];
-    encode_png(w, h, &values.iter().map(level).collect::<Vec<_>>()).map(bare)
+    linear(encode_png(w, h, &values.iter().map(level).collect::<Vec<_>>())?).map(bare)
 }
 
 fn plane(frame: &Frame, output: Output) -> Result<&[f32], ImageFileError> {
@@ -273,6 +281,36 @@ mod tests {
         let options = EncodeOptions { tone_curve: ToneCurve::Agx, ..EncodeOptions::default() };
         assert_eq!(colour::<u8>(&frame, Output::Albedo, &options).unwrap(), [[188, 188, 188, 128]]);
         assert_eq!(over_white(&[[188, 188, 188, 128]]), [[221; 3]]);
+    }
+
+    #[test]
+    fn a_png_states_whether_it_is_linear() {
+        let outputs = [
+            Output::Rgb,
+            Output::Albedo,
+            Output::Normal,
+            Output::Depth,
+            Output::Roughness,
+            Output::Visibility,
+        ];
+        let mut planes: std::collections::BTreeMap<_, _> =
+            outputs.into_iter().map(|output| (output, vec![0.5; output.channels()])).collect();
+        planes.insert(Output::Alpha, vec![1.0]);
+        let frame = Frame { width: 1, height: 1, planes };
+        let states = |output, tone_curve, format| {
+            let options = EncodeOptions { tone_curve, ..EncodeOptions::default() };
+            let bytes = encode_frame(&frame, &[output], format, &options).unwrap().bytes;
+            let chunk = |name: &[u8]| bytes.windows(4).any(|window| window == name);
+            (chunk(b"sRGB"), chunk(b"gAMA"))
+        };
+        for output in outputs {
+            let is_display = is_colour(output);
+            let wanted = (is_display, !is_display);
+            assert_eq!(states(output, ToneCurve::Srgb, FrameFormat::Png), wanted, "{output:?}");
+        }
+        assert_eq!(states(Output::Rgb, ToneCurve::Linear, FrameFormat::Png), (false, true));
+        assert_eq!(states(Output::Rgb, ToneCurve::Agx, FrameFormat::Png), (true, false));
+        assert_eq!(states(Output::Rgb, ToneCurve::Srgb, FrameFormat::Jpeg), (false, false), "the control");
     }
 
     #[test]
