@@ -129,7 +129,7 @@ fn load_one(
     options: &ImportOptions,
     image_checks: Option<&ImageChecks>,
 ) -> Result<CaptureView, CaptureError> {
-    let Loaded { mut image, stored, depth } = match image_checks {
+    let Loaded { mut image, stored, depth, .. } = match image_checks {
         None => load_photo(source, &photo.image, photo.lens.size, options)?,
         Some(image_checks) => load_and_check(source, photo, options, image_checks)?,
     };
@@ -157,7 +157,7 @@ fn load_and_check(
     let side = options.max_side.map_or(ImageChecks::SIDE, |side| side.max(ImageChecks::SIDE));
     let larger = ImportOptions { max_side: Some(side), ..*options };
     let loaded = load_photo(source, &photo.image, photo.lens.size, &larger)?;
-    image_checks.add(&photo.image, &loaded.image, loaded.stored);
+    image_checks.add(&photo.image, &loaded);
     let (width, height) = options.reduced_size(loaded.stored);
     Ok(Loaded { image: loaded.image.resized(width, height), ..loaded })
 }

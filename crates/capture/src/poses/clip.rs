@@ -8,9 +8,9 @@ use rayon::prelude::*;
 
 use super::error::PoseError;
 use super::process::ExternalProgram;
-use super::process_limits::ProcessLimits;
 use super::run_control::{PoseProgress, PoseStage, RunControl};
 use crate::formats::image_file;
+use crate::process_limits::ProcessLimits;
 use crate::{CaptureError, sharpness};
 
 const INSTALL: &str = "apt-get install ffmpeg, brew install ffmpeg, or https://ffmpeg.org/download.html";

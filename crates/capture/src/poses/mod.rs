@@ -7,7 +7,6 @@ mod clip;
 mod colmap;
 mod error;
 mod process;
-mod process_limits;
 mod run_control;
 mod workspace;
 

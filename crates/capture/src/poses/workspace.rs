@@ -3,8 +3,11 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
+
 use super::error::PoseError;
-use crate::{PhotosWithoutPoses, masks};
+use crate::formats::{image_file, is_heif};
+use crate::{CaptureError, PhotosWithoutPoses, masks};
 
 /// The folder of an unfinished capture.
 pub(super) struct Workspace {
@@ -18,7 +21,10 @@ impl Workspace {
     /// [`PoseError::FolderNotEmpty`] if the folder contains other photographs.
     pub(super) fn fill(root: &Path, photographs: &PhotosWithoutPoses) -> Result<Self, PoseError> {
         let workspace = Self { root: root.to_owned() };
-        let wanted: Vec<PathBuf> = photographs.photos().map(|name| workspace.images().join(name)).collect();
+        let wanted: Vec<PathBuf> = photographs
+            .photos()
+            .map(|name| workspace.images().join(photographs.converted_name(name)))
+            .collect();
         for other in files_below(&workspace.images())?.into_iter().filter(|file| !wanted.contains(file)) {
             // A partial copy that an interrupted run left.
             if other.extension().is_some_and(|e| e == PARTIAL) {
@@ -30,15 +36,17 @@ impl Workspace {
         if workspace.is_done() && wanted.iter().any(|file| !file.is_file()) {
             return Err(PoseError::FolderNotEmpty(root.to_owned()));
         }
-        for (name, file) in photographs.photos().zip(&wanted) {
-            keep(file, &photographs.read(name)?).map_err(|error| match error {
-                PoseError::FolderNotEmpty(_) => PoseError::FolderNotEmpty(root.to_owned()),
-                other => other,
-            })?;
-        }
+        let names: Vec<&str> = photographs.photos().collect();
+        let copied: Vec<_> =
+            names.par_iter().zip(&wanted).map(|(name, file)| copy(photographs, name, file)).collect();
+        copied.into_iter().collect::<Result<(), _>>().map_err(|error| match error {
+            PoseError::FolderNotEmpty(_) => PoseError::FolderNotEmpty(root.to_owned()),
+            other => other,
+        })?;
         for (mask, of) in photographs.masks() {
             let png = masks::as_png(mask, photographs.read(&mask.path)?)?;
-            keep(&root.join("masks").join(format!("{of}.png")), &png)?;
+            let name = format!("{}.png", photographs.converted_name(of));
+            keep(&root.join("masks").join(name), &png)?;
         }
         Ok(workspace)
     }
@@ -80,6 +88,16 @@ impl Workspace {
         fs::rename(model, self.model()).map_err(PoseError::io(model))?;
         fs::remove_dir_all(self.scratch()).map_err(PoseError::io(&self.scratch()))
     }
+}
+
+/// Copies a photograph; COLMAP reads neither HEIC nor AVIF, so these become JPEG files.
+fn copy(photographs: &PhotosWithoutPoses, name: &str, file: &Path) -> Result<(), PoseError> {
+    let bytes = photographs.read(name)?;
+    if !is_heif(&bytes) {
+        return keep(file, &bytes);
+    }
+    let jpeg = image_file::heif_as_jpeg(&bytes, photographs.limits().max_image_pixels);
+    keep(file, &jpeg.map_err(|error| CaptureError::image(name, error))?)
 }
 
 /// Extension of a file that is being written.

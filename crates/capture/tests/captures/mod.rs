@@ -6,5 +6,6 @@ mod archives;
 mod bad_input;
 mod layouts;
 mod masks;
+mod pixels;
 mod rig;
 mod with_data;
