@@ -48,6 +48,8 @@ const RESULT_FOLDERS: [&str; 16] = [
     "screenshots",
     "logs",
 ];
+/// Names of pictures that show the photographs or the result in small.
+const SMALL_PICTURES: [&str; 6] = ["thumbnail", "thumb", "preview", "cover", "icon", "logo"];
 /// Least share of the photographs in the main folder for which pictures elsewhere are examined.
 const MAIN_SHARE: f64 = 0.8;
 /// Number of photographs of the main folder whose headers are read for comparison.
@@ -61,6 +63,7 @@ const IS_MAP: &str = "is a depth or confidence map";
 const IS_REDUCED: &str = "is a reduced copy of a photograph";
 const IS_UNCORRECTED: &str = "is the uncorrected copy of a photograph in corrected_images";
 const IS_RESULT: &str = "is in a folder of results, plots or documents";
+const IS_SMALL_PICTURE: &str = "is a preview outside the folder of the photographs, by its name";
 const IS_GREY: &str = "is a grey picture outside the folder of the photographs, which have colours";
 const HAS_OTHER_SIZE: &str = "is a picture of another size outside the folder of the photographs";
 
@@ -200,6 +203,10 @@ fn other_reason(path: &str, main: &str, picture: &Picture, samples: &[Picture]) 
     if folder.split('/').any(is_result) {
         return Some(IS_RESULT);
     }
+    let name = key(path.rsplit('/').next().unwrap_or(path));
+    if SMALL_PICTURES.contains(&name.as_str()) {
+        return Some(IS_SMALL_PICTURE);
+    }
     if picture.is_grey && samples.iter().all(|sample| !sample.is_grey) {
         return Some(IS_GREY);
     }
@@ -313,6 +320,7 @@ mod tests {
             ("results/plot.png", of_size(8, 6), Some(IS_RESULT)),
             ("other/plot.png", grey.clone(), Some(IS_GREY)),
             ("plot.png", of_size(9, 6), Some(HAS_OTHER_SIZE)),
+            ("thumbnail.jpg", of_size(8, 6), Some(IS_SMALL_PICTURE)),
             ("images/00b.png", of_size(9, 6), None),
             ("other/upright.png", of_size(6, 8), None),
             ("closeups/a.png", of_size(9, 6), None),

@@ -4,6 +4,7 @@
 //! time limit, and are killed if the caller cancels.
 
 mod clip;
+mod clip_probe;
 mod colmap;
 mod error;
 mod process;

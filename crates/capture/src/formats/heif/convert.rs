@@ -66,7 +66,8 @@ fn convert(bytes: &[u8], ending: &str, converter: Option<PathBuf>) -> Result<Vec
     let kind = boxes::kind_name(bytes);
     let converter = converter.ok_or(ImageFileError::NoConverter { kind, install: CONVERTER_PACKAGE })?;
     let size = boxes::header(bytes)?.size;
-    let failed = |error: std::io::Error| ImageFileError::Damaged(format!("{}: {error}", converter.display()));
+    let name = converter.file_name().unwrap_or_default().display();
+    let failed = |error: std::io::Error| ImageFileError::Damaged(format!("{name}: {error}"));
     // The folder and its files are removed when this function returns.
     let folder = tempfile::TempDir::new().map_err(failed)?;
     let input = folder.path().join(if kind == "AVIF" { "in.avif" } else { "in.heic" });
@@ -83,15 +84,14 @@ fn convert(bytes: &[u8], ending: &str, converter: Option<PathBuf>) -> Result<Vec
         .spawn()
         .map_err(failed)?;
     let is_success = RunningConverter(child).wait(&limits(size), TIME).map_err(failed)?;
+    let text = message(&messages);
     if !is_success {
-        let text = message(&messages);
-        return Err(ImageFileError::Damaged(format!("{} failed: {text}", converter.display())));
+        return Err(ImageFileError::Damaged(format!("{name} failed: {text}")));
     }
     picture_of_size(folder.path(), ending, size).map_err(failed)?.ok_or_else(|| {
         let (width, height) = size;
-        let name = converter.display();
         ImageFileError::Damaged(format!(
-            "{name} wrote no picture of {width}x{height} pixels, which the header states"
+            "{name} wrote no picture of {width}x{height} pixels, which the header states: {text}"
         ))
     })
 }
