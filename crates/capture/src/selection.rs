@@ -15,6 +15,8 @@ const RAWS: [&str; 16] = [
 ];
 /// File extensions of other images, which Relume does not read.
 const UNREAD: [&str; 9] = ["gif", "bmp", "jp2", "j2k", "jxl", "psd", "svg", "ppm", "tga"];
+/// Folders of photographs, beside which programs write reduced copies in a folder like `images_4`.
+const PHOTO_FOLDERS: [&str; 5] = ["images", "image", "input", "rgb", "photos"];
 /// Folders of maps.
 const MAP_FOLDERS: [&str; 9] = [
     "depth",
@@ -161,11 +163,14 @@ fn copy_reason(path: &str, keys: &BTreeSet<String>) -> Option<&'static str> {
         }
         let (folder, factor) = parts[at].rsplit_once('_')?;
         let is_factor = factor.parse::<u32>().is_ok_and(|factor| (2..=64).contains(&factor));
+        if !is_factor || !PHOTO_FOLDERS.contains(&folder) {
+            return None;
+        }
         // Some programs rename the reduced copies of the folder `images`.
         let folder_path = format!("{}/", replaced(at, folder)[..=at].join("/"));
         let has_original = keys.contains(&replaced(at, folder).join("/"))
             || (folder == "images" && keys.iter().any(|key| key.starts_with(&folder_path)));
-        (is_factor && has_original).then_some(IS_REDUCED)
+        has_original.then_some(IS_REDUCED)
     })
 }
 
@@ -275,7 +280,7 @@ mod tests {
         assert_eq!(ignored, [pair("images_2/a.jpg", IS_REDUCED), pair("images_8/image000.png", IS_REDUCED)]);
         let (photos, ignored) = selected(&["x/images_4/a.jpg", "x/images_4/b.jpg"], &[]);
         assert_eq!((photos.len(), ignored.len()), (2, 0), "the control: there is no larger copy");
-        let (photos, _) = selected(&["day_2/a.jpg", "day/b.jpg"], &[]);
+        let (photos, _) = selected(&["day_2/a.jpg", "day/a.jpg"], &[]);
         assert_eq!(photos.len(), 2, "the control: other photographs");
     }
 

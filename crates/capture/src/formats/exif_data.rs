@@ -141,6 +141,24 @@ mod tests {
     }
 
     #[test]
+    fn adobe_rgb_is_recognised_by_the_interoperability_index() {
+        // The picture's directory has 18 bytes at 8, that of the camera 18 bytes after it.
+        const INDEX_AT: u32 = 8 + 18 + 18;
+        let with_index = |index: &[u8]| {
+            let pointer = [(0xa005, 4, 1, INDEX_AT.to_le_bytes().to_vec())];
+            let mut file = jpeg(&[], &pointer);
+            file.truncate(file.len() - 2);
+            file.extend(directory(0, &[(0x0001, 2, 4, index.to_vec())]));
+            let length = (file.len() - 4) as u16;
+            file[4..6].copy_from_slice(&length.to_be_bytes());
+            [&file[..], b"\xff\xd9"].concat()
+        };
+        assert!(is_adobe_rgb(&with_index(b"R03\0")));
+        assert!(!is_adobe_rgb(&with_index(b"R98\0")), "sRGB");
+        assert!(!is_adobe_rgb(&jpeg(&[], &[])));
+    }
+
+    #[test]
     fn truncated_or_invalid_exif_gives_no_facts() {
         let whole = jpeg(&[(0x0112, 3, 1, vec![6, 0])], &[]);
         assert_eq!(read(&whole).orientation, Some(6));

@@ -129,3 +129,51 @@ fn files_below(folder: &Path) -> Result<Vec<PathBuf>, PoseError> {
     }
     Ok(files)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::process::Command;
+
+    use super::*;
+    use crate::ImportLimits;
+    use crate::formats::image_file::{decode, encode_png};
+
+    #[test]
+    #[ignore = "needs heif-enc and heif-convert (Debian: libheif-examples)"]
+    fn heic_photographs_become_jpeg_files_with_their_masks() {
+        let (folder, into) = (tempfile::TempDir::new().unwrap(), tempfile::TempDir::new().unwrap());
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir(at("masks")).unwrap();
+        fs::write(at("a.png"), encode_png(64, 48, &[[200u8, 120, 60]; 64 * 48]).unwrap()).unwrap();
+        // The content decides, not the name.
+        for name in ["IMG_1.HEIC", "IMG_2.jpg"] {
+            let made = at("x.heic");
+            let status = Command::new("heif-enc").arg("-o").args([&made, &at("a.png")]).status().unwrap();
+            assert!(status.success());
+            fs::rename(made, at(name)).unwrap();
+            let mask = encode_png(64, 48, &[[255u8]; 64 * 48]).unwrap();
+            fs::write(at("masks").join(format!("{name}.png")), mask).unwrap();
+        }
+        let photographs = PhotosWithoutPoses::open(folder.path(), &ImportLimits::default()).unwrap().unwrap();
+        assert_eq!(photographs.photos().collect::<Vec<_>>(), ["IMG_1.HEIC", "IMG_2.jpg", "a.png"]);
+        let workspace = Workspace::fill(into.path(), &photographs).unwrap();
+        let mut files = files_below(into.path()).unwrap();
+        files.sort();
+        let names = files.iter().map(|file| file.strip_prefix(into.path()).unwrap().display().to_string());
+        assert_eq!(
+            names.collect::<Vec<_>>(),
+            [
+                "images/IMG_1.HEIC.jpg",
+                "images/IMG_2.jpg.jpg",
+                "images/a.png",
+                "masks/IMG_1.HEIC.jpg.png",
+                "masks/IMG_2.jpg.jpg.png",
+            ]
+        );
+        let bytes = fs::read(workspace.images().join("IMG_1.HEIC.jpg")).unwrap();
+        let pixel = decode(&bytes, 1 << 20).unwrap().pixels[0].map(|v| v * 255.0);
+        assert!(pixel.iter().zip([200.0, 120.0, 60.0]).all(|(a, b)| (a - b).abs() < 6.0), "{pixel:?}");
+        assert!(bytes.starts_with(b"\xff\xd8"), "a JPEG");
+        assert!(Workspace::fill(into.path(), &photographs).is_ok(), "the next run finds equal files");
+    }
+}

@@ -76,9 +76,15 @@ fn convert_pixels(image: &mut DynamicImage, profile: &ColorProfile) -> Result<bo
     Ok(true)
 }
 
-fn options() -> TransformOptions {
+fn options(profile: &ColorProfile) -> TransformOptions {
+    // A profile may have only the table of the perceptual intent, which then serves all intents.
+    let only_perceptual =
+        profile.lut_a_to_b_perceptual.is_some() && profile.lut_a_to_b_colorimetric.is_none();
     TransformOptions {
-        rendering_intent: RenderingIntent::RelativeColorimetric,
+        rendering_intent: match only_perceptual {
+            true => RenderingIntent::Perceptual,
+            false => RenderingIntent::RelativeColorimetric,
+        },
         allow_use_cicp_transfer: false,
         prefer_fixed_point: false,
         ..TransformOptions::default()
@@ -92,12 +98,12 @@ fn target(source: Layout) -> Layout {
 
 fn transform8(profile: &ColorProfile, source: Layout) -> Result<Arc<Transform8BitExecutor>, &'static str> {
     let srgb = ColorProfile::new_srgb();
-    profile.create_transform_8bit(source, &srgb, target(source), options()).map_err(|_| UNSUPPORTED)
+    profile.create_transform_8bit(source, &srgb, target(source), options(profile)).map_err(|_| UNSUPPORTED)
 }
 
 fn transform16(profile: &ColorProfile, source: Layout) -> Result<Arc<Transform16BitExecutor>, &'static str> {
     let srgb = ColorProfile::new_srgb();
-    profile.create_transform_16bit(source, &srgb, target(source), options()).map_err(|_| UNSUPPORTED)
+    profile.create_transform_16bit(source, &srgb, target(source), options(profile)).map_err(|_| UNSUPPORTED)
 }
 
 /// Whether a conversion changes 8-bit values by at most [`SAME`]: on a grid of colours, or on all grey values.

@@ -4,6 +4,8 @@ mod convert;
 mod png_chunks;
 mod profile;
 mod stated;
+#[cfg(test)]
+mod tests;
 
 pub use convert::ColourConversion;
 pub(super) use convert::convert;
