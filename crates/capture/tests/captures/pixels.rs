@@ -6,9 +6,10 @@ use std::process::Command;
 
 use image::{ExtendedColorType, ImageEncoder};
 use moxcms::ColorProfile;
+use relume_capture::check::check_photographs;
 use relume_capture::formats::image_file::{self, decode, decode_photograph, encode_jpeg, encode_png};
 use relume_capture::formats::{ColourConversion, ImageFileError};
-use relume_capture::{CaptureError, ImportOptions, inspect};
+use relume_capture::{CaptureError, ImportLimits, ImportOptions, PhotosWithoutPoses, inspect};
 use relume_fixtures::small_set::{Files, import_folder, nerfstudio};
 use relume_scene::srgb;
 use relume_spec::CaptureReport;
@@ -130,6 +131,14 @@ fn profiles_that_are_srgb_in_effect_change_no_byte() {
     let gamma = 45_455u32.to_be_bytes();
     assert_eq!(first(&png_with_chunk([9, 8, 7], b"gAMA", &gamma)).0, [9.0, 8.0, 7.0]);
     assert_eq!(first(&png_with_chunk([9, 8, 7], b"cICP", &[1, 13, 0, 1])).0, [9.0, 8.0, 7.0]);
+    let corners = |corners: [u32; 6]| -> Vec<u8> {
+        [31_270, 32_900].iter().chain(&corners).flat_map(|v| v.to_be_bytes()).collect()
+    };
+    let srgb = corners([64_000, 33_000, 30_000, 60_000, 15_000, 6_000]);
+    assert_eq!(first(&png_with_chunk([234, 51, 35], b"cHRM", &srgb)).0, [234.0, 51.0, 35.0]);
+    let p3 = corners([68_000, 32_000, 26_500, 69_000, 15_000, 6_000]);
+    let (found, _) = first(&png_with_chunk([234, 51, 35], b"cHRM", &p3));
+    assert!(is_near(found, [255.0, 0.0, 0.0]), "the control: {found:?}");
 }
 
 #[test]
@@ -174,15 +183,20 @@ fn unusable_profiles_are_ignored_with_a_reason() {
     assert!(matches!(&note, ColourConversion::Ignored { reason, .. } if reason.contains("PQ")), "{note:?}");
 }
 
-/// The report of a capture.
-fn inspected(files: &Files) -> CaptureReport {
+/// Files in a folder.
+fn folder_of(files: &Files) -> tempfile::TempDir {
     let folder = tempfile::TempDir::new().unwrap();
     for (name, bytes) in files {
         let path = folder.path().join(name);
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(path, bytes).unwrap();
     }
-    inspect(folder.path(), &ImportOptions::default()).unwrap()
+    folder
+}
+
+/// The report of a capture.
+fn inspected(files: &Files) -> CaptureReport {
+    inspect(folder_of(files).path(), &ImportOptions::default()).unwrap()
 }
 
 #[test]
@@ -257,6 +271,54 @@ fn raw_files_and_unread_images_are_refused_by_kind() {
     assert!(text.contains("images/2.png") && text.contains("DNG") && text.contains("JPEG"), "{text}");
     let text = refusal(|files| drop(files.insert("images/2.png".to_owned(), b"GIF89a\x08\0\x06\0".to_vec())));
     assert!(text.contains("GIF image") && text.contains("convert"), "{text}");
+}
+
+/// Problems and hints of the check of files without poses.
+fn findings(files: &Files) -> (Vec<String>, Vec<String>) {
+    let folder = folder_of(files);
+    let photographs = PhotosWithoutPoses::open(folder.path(), &ImportLimits::default()).unwrap().unwrap();
+    let found = check_photographs(&photographs).findings;
+    let (problems, hints): (Vec<_>, Vec<_>) = found.into_iter().partition(|finding| finding.is_problem);
+    let texts = |found: Vec<relume_capture::check::Finding>| found.into_iter().map(|f| f.text).collect();
+    (texts(problems), texts(hints))
+}
+
+/// Fourteen photographs of noise; the first `different` differ, the others are copies of the first.
+fn noise(different: u32) -> Files {
+    let value = |i: u32, p: u32| (((p * 31 + i + 1).wrapping_mul(2_654_435_761)) >> 24) as u8;
+    let picture = |i: u32| {
+        let i = if i < different { i } else { 0 };
+        let pixels: Vec<[u8; 3]> =
+            (0..32 * 24).map(|p| [value(i, p), value(i, p + 1), value(i, p + 2)]).collect();
+        encode_png(32, 24, &pixels).unwrap()
+    };
+    (0..14).map(|i| (format!("images/{i:02}.png"), picture(i))).collect()
+}
+
+#[test]
+fn identical_photographs_are_a_problem() {
+    let has = |texts: &[String]| texts.iter().any(|text| text.contains("identical copies"));
+    let (problems, _) = findings(&noise(1));
+    assert!(has(&problems), "{problems:?}");
+    let (problems, hints) = findings(&noise(13));
+    assert!(!has(&problems) && has(&hints), "{problems:?} {hints:?}");
+    let (problems, hints) = findings(&noise(14));
+    assert!(!has(&problems) && !has(&hints), "the control: {hints:?}");
+}
+
+#[test]
+fn image_files_that_are_no_photographs_are_hints() {
+    let mut files = noise(14);
+    for i in 0..14 {
+        files.insert(format!("images_2/{i:02}.png"), files[&format!("images/{i:02}.png")].clone());
+    }
+    let (_, hints) = findings(&files);
+    let hint = hints.iter().find(|text| text.contains("not used as photographs")).unwrap();
+    assert!(hint.contains("14 image files") && hint.contains("reduced copy"), "{hint}");
+    let raws: Files = (0..3).map(|i| (format!("IMG_{i}.NEF"), b"II*\0".to_vec())).collect();
+    let text =
+        PhotosWithoutPoses::open(folder_of(&raws).path(), &ImportLimits::default()).unwrap_err().to_string();
+    assert!(text.contains("3 raw files") && text.contains("develop"), "{text}");
 }
 
 /// A profile as libpng requires it: of a multiple of 4 bytes, with exactly the illuminant D50.
