@@ -7,6 +7,7 @@ use crate::cli::artifacts::ArtifactsArgs;
 use crate::cli::database::DatabaseArgs;
 use crate::cli::error::CommandResult;
 use crate::store::{Store, inspect_with};
+use relume_capture::formats::{CONVERTER_PACKAGE, installed_converter};
 use relume_engine::{AdapterReport, Device, DeviceChoice, adapters, choose_adapter};
 
 /// Options of `relume doctor`.
@@ -37,6 +38,7 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
     if args.database.database_url.is_none() {
         println!("database      {}", database_version()?);
     }
+    println!("heic          {}", heic_converter());
     println!("data dir      {}", data_dir(&args.data_dir)?);
     let faults = check_stored_data(args)?;
     let chosen = choose_adapter(&adapters, args.device)?;
@@ -127,6 +129,14 @@ fn features() -> Vec<&'static str> {
 #[cfg(not(target_arch = "x86_64"))]
 fn features() -> Vec<&'static str> {
     vec![std::env::consts::ARCH]
+}
+
+/// The program that converts HEIC and AVIF photographs, or how to install one.
+fn heic_converter() -> String {
+    match installed_converter() {
+        Some(program) => program.display().to_string(),
+        None => format!("no converter for HEIC and AVIF photographs: {CONVERTER_PACKAGE}"),
+    }
 }
 
 /// Opens a database with the schema of the service in a temporary folder.

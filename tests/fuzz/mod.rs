@@ -75,6 +75,7 @@ fn mutated_images_cause_no_panic() {
     fuzz("pictures", &seeds::images(), |bytes| {
         let _ = image_file::dimensions(bytes);
         let _ = image_file::decode(bytes, 1 << 16);
+        let _ = image_file::decode_photograph(bytes, 1 << 16, |size| size);
     });
 }
 

@@ -1,10 +1,12 @@
 //! Reading one image of a capture.
 
-use crate::formats::{ImageFileError, exif_data, image_file};
+use crate::formats::image_file::{self, Photograph};
+use crate::formats::{ColourConversion, ImageFileError, exif_data};
 use crate::{CaptureError, CaptureFiles, ImportOptions};
 use relume_scene::{BitDepth, ImageRgba};
 
-/// Decodes an image and reduces it as the options ask; also returns its stored size, pixels.
+/// Decodes a mask or map and reduces it as the options ask; also returns its stored size, pixels. Its values are those of
+/// the file: a colour profile is not converted.
 ///
 /// # Errors
 /// [`CaptureError::OverLimit`] for too many pixels, [`CaptureError::Image`] when it cannot be decoded.
@@ -13,7 +15,21 @@ pub(super) fn load_image(
     path: &str,
     options: &ImportOptions,
 ) -> Result<(ImageRgba, (u32, u32)), CaptureError> {
-    decode(path, &source.read(path)?, options)
+    let reduce = |stored| options.reduced_size(stored);
+    image_file::decode_reduced(&source.read(path)?, options.limits.max_image_pixels, reduce)
+        .map_err(|error| of_decoder(path, error))
+}
+
+/// Decodes a picture as display-encoded sRGB and reduces it as the options ask.
+///
+/// # Errors
+/// As [`load_image`].
+pub(super) fn load_picture(
+    source: &CaptureFiles,
+    path: &str,
+    options: &ImportOptions,
+) -> Result<ImageRgba, CaptureError> {
+    Ok(decode(path, &source.read(path)?, options)?.image)
 }
 
 /// A decoded photograph.
@@ -25,9 +41,11 @@ pub(super) struct Loaded {
     pub stored: (u32, u32),
     /// The least bit depth that holds the file's values.
     pub depth: BitDepth,
+    /// The conversion of its colours to sRGB.
+    pub colour: ColourConversion,
 }
 
-/// [`load_image`] of a photograph whose lens is stated for `lens_size`. If only the image after EXIF rotation has the
+/// A photograph as display-encoded sRGB, whose lens is stated for `lens_size`. If only the image after EXIF rotation has the
 /// aspect ratio of that size, the image and the returned size are rotated. Otherwise the poses refer to the pixels as
 /// they are stored.
 ///
@@ -40,16 +58,17 @@ pub(super) fn load_photo(
     options: &ImportOptions,
 ) -> Result<Loaded, CaptureError> {
     let bytes = source.read(path)?;
-    let (image, stored) = decode(path, &bytes, options)?;
+    let Photograph { image, stored, colour } = decode(path, &bytes, options)?;
     let depth = image_file::bit_depth(&bytes).map_err(|error| CaptureError::image(path, error))?;
-    Ok(match turn(&bytes, stored, lens_size) {
-        Some(turn) => Loaded { image: turned(&image, turn), stored: (stored.1, stored.0), depth },
-        None => Loaded { image, stored, depth },
-    })
+    let (image, stored) = match turn(&bytes, stored, lens_size) {
+        Some(turn) => (turned(&image, turn), (stored.1, stored.0)),
+        None => (image, stored),
+    };
+    Ok(Loaded { image, stored, depth, colour })
 }
 
 /// Number of bytes at the start of a file that contain the header of most images.
-const HEAD: u64 = 256 << 10;
+pub(super) const HEAD: u64 = 256 << 10;
 
 /// Stored width and height of an image. The whole file is read only if its first bytes do not contain the size.
 ///
@@ -77,18 +96,20 @@ pub(super) fn photo_size(
     Ok(if is_turned { (stored.1, stored.0) } else { stored })
 }
 
-fn decode(
-    path: &str,
-    bytes: &[u8],
-    options: &ImportOptions,
-) -> Result<(ImageRgba, (u32, u32)), CaptureError> {
+fn decode(path: &str, bytes: &[u8], options: &ImportOptions) -> Result<Photograph, CaptureError> {
     let reduce = |stored| options.reduced_size(stored);
-    image_file::decode_reduced(bytes, options.limits.max_image_pixels, reduce).map_err(|error| match error {
+    image_file::decode_photograph(bytes, options.limits.max_image_pixels, reduce)
+        .map_err(|error| of_decoder(path, error))
+}
+
+/// The error of a decoder with the path of the file.
+fn of_decoder(path: &str, error: ImageFileError) -> CaptureError {
+    match error {
         ImageFileError::TooManyPixels { .. } => {
             CaptureError::over_limit(path, "max_image_pixels", error.to_string())
         }
         other => CaptureError::image(path, other),
-    })
+    }
 }
 
 /// The EXIF orientation, if it swaps the sides (5 to 8) and the lens is stated for an image with swapped sides.

@@ -231,7 +231,7 @@ mod tests {
             found(&["train/1.png", "2.png"], &["test/1.png", "train/1.png", "a/2.png", "b/2.png"]);
         let expected = [None, Some("train/1.png".to_owned()), Some("2.png".to_owned()), None];
         assert_eq!(paths, expected);
-        let (paths, _) = found(&["train/1.png"], &["test/1.png"]);
+        let (paths, _) = found(&["train/1.png", "x.txt"], &["test/1.png"]);
         assert_eq!(paths[0].as_deref(), Some("train/1.png"), "the control");
     }
 

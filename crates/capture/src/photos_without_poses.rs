@@ -5,28 +5,46 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use crate::formats::is_heif;
 use crate::masks::{self, MaskFile};
+<<<<<<< HEAD
 use crate::{CaptureError, CaptureFiles, ImportLimits, images, layout};
+=======
+use crate::selection::{self, IgnoredFile, Selection};
+use crate::{CaptureError, CaptureFiles, ImportLimits, images, import};
+>>>>>>> h_pix
 
-/// File extensions of photographs that COLMAP reads.
-const ENDINGS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "webp"];
+/// Bytes at the start of a file that tell whether it is a HEIC picture.
+const HEIF_START: u64 = 64;
 
 /// The photographs of a folder or an archive without poses.
 #[derive(Debug)]
 pub struct PhotosWithoutPoses {
     source: CaptureFiles,
-    /// Photographs, each with its mask file.
-    photos: BTreeMap<String, Option<MaskFile>>,
+    photos: BTreeMap<String, Photo>,
+    ignored: Vec<IgnoredFile>,
+}
+
+#[derive(Debug)]
+struct Photo {
+    mask: Option<MaskFile>,
+    /// Whether it is a HEIC or AVIF picture, by its content.
+    is_heif: bool,
 }
 
 impl PhotosWithoutPoses {
     /// Opens a folder, zip, tar or tar.gz. `None` if it contains a layout with poses, or no photograph.
     ///
     /// # Errors
-    /// [`CaptureError`] when it cannot be opened or is over a limit.
+    /// [`CaptureError`] when it cannot be opened or is over a limit; [`CaptureError::File`] if its only images are raw files
+    /// of a camera.
     pub fn open(path: &Path, limits: &ImportLimits) -> Result<Option<Self>, CaptureError> {
         let source = CaptureFiles::open(path, limits)?;
+<<<<<<< HEAD
         Ok(if layout::is_present(&source) { None } else { Self::of(source) })
+=======
+        if import::has_layout(&source) { Ok(None) } else { Self::of(source) }
+>>>>>>> h_pix
     }
 
     /// The photographs of `path`, whether or not the files include poses. `None` without photographs.
@@ -34,15 +52,42 @@ impl PhotosWithoutPoses {
     /// # Errors
     /// As [`Self::open`].
     pub fn ignoring_poses(path: &Path, limits: &ImportLimits) -> Result<Option<Self>, CaptureError> {
-        Ok(Self::of(CaptureFiles::open(path, limits)?))
+        Self::of(CaptureFiles::open(path, limits)?)
     }
 
-    fn of(source: CaptureFiles) -> Option<Self> {
-        let names = masks::separate(source.paths().filter(|path| is_photograph(path)));
-        let names: Vec<&str> = names.into_iter().collect();
-        let found = masks::assign(&names, source.paths()).masks;
-        let photos: BTreeMap<_, _> = names.iter().map(|name| (*name).to_owned()).zip(found).collect();
-        (!photos.is_empty()).then_some(Self { source, photos })
+    fn of(source: CaptureFiles) -> Result<Option<Self>, CaptureError> {
+        let Selection { photos: names, ignored } = selection::select(&source)?;
+        let raws = ignored.iter().filter(|file| selection::is_raw(&file.path)).count();
+        if names.is_empty() && raws > 0 {
+            let reason = format!(
+                "contains {raws} raw files of a camera and no photographs; develop the raw files to JPEG, PNG or 16-bit TIFF first"
+            );
+            return Err(CaptureError::File { file: source.label().to_owned(), reason });
+        }
+        let borrowed: Vec<&str> = names.iter().map(String::as_str).collect();
+        let masks = masks::assign(&borrowed, source.paths()).masks;
+        let mut photos = BTreeMap::new();
+        for (name, mask) in names.into_iter().zip(masks) {
+            let is_heif = is_heif(&source.read_start(&name, HEIF_START)?);
+            photos.insert(name, Photo { mask, is_heif });
+        }
+        Ok((!photos.is_empty()).then_some(Self { source, photos, ignored }))
+    }
+
+    /// Image files that are not used as photographs, sorted by path. Masks are not among them.
+    pub fn ignored(&self) -> &[IgnoredFile] {
+        &self.ignored
+    }
+
+    /// The name that a photograph has in a capture made of the photographs: HEIC and AVIF pictures become JPEG files.
+    pub(super) fn converted_name(&self, name: &str) -> String {
+        let is_heif = self.photos.get(name).is_some_and(|photo| photo.is_heif);
+        if is_heif { format!("{name}.jpg") } else { name.to_owned() }
+    }
+
+    /// The limits that [`Self::open`] was given.
+    pub(super) fn limits(&self) -> &ImportLimits {
+        self.source.limits()
     }
 
     /// The names of the photographs, sorted.
@@ -52,7 +97,7 @@ impl PhotosWithoutPoses {
 
     /// Mask files, each with its photograph.
     pub(super) fn masks(&self) -> impl Iterator<Item = (&MaskFile, &str)> {
-        self.photos.iter().filter_map(|(photo, mask)| Some((mask.as_ref()?, photo.as_str())))
+        self.photos.iter().filter_map(|(name, photo)| Some((photo.mask.as_ref()?, name.as_str())))
     }
 
     /// The bytes of a photograph or mask.
@@ -74,11 +119,6 @@ impl PhotosWithoutPoses {
         let sizes = sizes.into_iter().collect::<Result<Vec<_>, _>>()?;
         Ok(sizes.windows(2).all(|pair| pair[0] == pair[1]))
     }
-}
-
-fn is_photograph(path: &str) -> bool {
-    let ending = path.rsplit_once('.').map(|(_, ending)| ending.to_ascii_lowercase());
-    ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str()))
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use glam::Vec3;
 use serde::Deserialize;
 
 use crate::formats::{environment, image_file};
-use crate::images::load_image;
+use crate::images::load_picture;
 use crate::json::parse_json;
 use crate::{CaptureError, CaptureFiles, CaptureView, GroundTruthView, ImportOptions};
 use relume_scene::{EnvMap, ImageRgba, Plane, srgb};
@@ -85,7 +85,7 @@ impl TruthFiles {
     ) -> Result<GroundTruthView, CaptureError> {
         let mut truth = GroundTruthView::default();
         for (light, path) in &self.relit {
-            let (image, _) = load_image(source, path, options)?;
+            let image = load_picture(source, path, options)?;
             truth.relit.insert(light.clone(), fitted(path, image, size)?);
         }
         let layer = |name: &str| self.layer(source, name, size, options);

@@ -1,19 +1,23 @@
 //! `relume capture check`: a report on photographs.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
 use crate::cli::error::CommandResult;
 use relume_capture::check::{PhotoStats, PhotographsReport, check_photographs};
+use relume_capture::poses::{ClipOptions, RunControl, frames_of_clip, is_clip};
 use relume_capture::{ImportLimits, PhotosWithoutPoses};
 
+/// Time limit of the extraction of frames from a clip.
+const CLIP_TIME: Duration = Duration::from_secs(3600);
 /// Maximum number of photographs in one line.
 const SHOWN: usize = 12;
 
 /// Options of `relume capture check`.
 #[derive(Debug, clap::Args)]
 pub(super) struct CheckArgs {
-    /// A folder, zip, tar or tar.gz of photographs, with or without poses.
+    /// A folder, zip, tar or tar.gz of photographs, with or without poses, or a video clip.
     photographs: PathBuf,
     /// Print a line for each photograph.
     #[arg(long)]
@@ -22,13 +26,28 @@ pub(super) struct CheckArgs {
 
 pub(super) fn run(args: &CheckArgs) -> CommandResult<ExitCode> {
     let none = || format!("{}: contains no photographs", args.photographs.display());
+    let scratch = tempfile::tempdir()?;
+    let path = if is_clip(&args.photographs) {
+        extract_frames(&args.photographs, scratch.path())?
+    } else {
+        args.photographs.clone()
+    };
     let photographs =
-        PhotosWithoutPoses::ignoring_poses(&args.photographs, &ImportLimits::default())?.ok_or_else(none)?;
+        PhotosWithoutPoses::ignoring_poses(&path, &ImportLimits::default())?.ok_or_else(none)?;
     let report = check_photographs(&photographs);
     for line in lines(&report, args.each) {
         println!("{line}");
     }
     Ok(if report.has_problems() { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+}
+
+/// Extracts the frames that a training on the clip uses into a folder in `scratch`.
+fn extract_frames(clip: &Path, scratch: &Path) -> CommandResult<PathBuf> {
+    let frames = scratch.join("frames");
+    let mut ignored = |_| {};
+    let mut run_control = RunControl::new(CLIP_TIME, &mut ignored, &|| false);
+    frames_of_clip(clip, &frames, &ClipOptions::default(), &mut run_control)?;
+    Ok(frames)
 }
 
 fn lines(report: &PhotographsReport, each: bool) -> Vec<String> {

@@ -69,6 +69,9 @@ fn find(input: &Path, out: Option<&Path>, args: &PoseArgs) -> CommandResult<Opti
     let Some(photos_without_poses) = PhotosWithoutPoses::open(&photographs, &ImportLimits::default())? else {
         return Ok(None);
     };
+    for file in photos_without_poses.ignored() {
+        eprintln!("not used: {} {}", file.path, file.reason);
+    }
     let into = out.map_or_else(|| beside(input, "poses"), Path::to_owned);
     eprintln!(
         "{}: photographs without poses: {}; finding poses with COLMAP, into {}",

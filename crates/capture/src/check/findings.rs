@@ -1,6 +1,11 @@
 //! Findings about a set of photographs, for the photographer.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use super::photo::PhotoStats;
+use crate::IgnoredFile;
+use crate::formats::ColourConversion;
+use crate::photos::MIN_IMAGES;
 
 /// Numbers of photographs below which a set is too small, or small.
 const TOO_FEW: usize = 12;
@@ -61,9 +66,28 @@ pub(super) fn findings(photos: &[PhotoStats], unreadable: &[String]) -> Vec<Find
         })
         .map(hint),
     );
+    all.extend(copies(photos));
+    all.extend(colours(photos));
     all.extend(camera(photos));
     all.sort_by_key(|finding| !finding.is_problem);
     all
+}
+
+/// A hint for each reason for which image files are no photographs.
+pub(super) fn ignored(files: &[IgnoredFile]) -> Vec<Finding> {
+    let mut groups: BTreeMap<&str, Vec<String>> = BTreeMap::new();
+    for file in files {
+        groups.entry(file.reason).or_default().push(file.path.clone());
+    }
+    let text = |reason: &str, count: usize| {
+        format!("{count} image files are not used as photographs; each {reason}")
+    };
+    let finding = |(reason, photos): (&str, Vec<String>)| Finding {
+        is_problem: false,
+        text: text(reason, photos.len()),
+        photos,
+    };
+    groups.into_iter().map(finding).collect()
 }
 
 fn number(photos: usize) -> Option<Finding> {
@@ -88,6 +112,46 @@ fn about(photos: &[PhotoStats], what: &str, is_so: impl Fn(&PhotoStats) -> bool)
 
 fn hint(finding: Finding) -> Finding {
     Finding { is_problem: false, ..finding }
+}
+
+/// A finding about identical photographs; a problem if fewer than [`MIN_IMAGES`] different ones remain.
+fn copies(photos: &[PhotoStats]) -> Option<Finding> {
+    let mut seen = BTreeSet::new();
+    let names: Vec<String> =
+        photos.iter().filter(|photo| !seen.insert(photo.digest)).map(|photo| photo.name.clone()).collect();
+    let is_problem = seen.len() < MIN_IMAGES;
+    let text = format!(
+        "{} of {} photographs are identical copies of others: {} different photographs remain",
+        names.len(),
+        photos.len(),
+        seen.len()
+    );
+    (!names.is_empty()).then_some(Finding { is_problem, text, photos: names })
+}
+
+/// A finding for each colour profile that is converted or cannot be used.
+fn colours(photos: &[PhotoStats]) -> Vec<Finding> {
+    let mut groups: BTreeMap<&ColourConversion, Vec<String>> = BTreeMap::new();
+    for photo in photos.iter().filter(|photo| photo.colour != ColourConversion::None) {
+        groups.entry(&photo.colour).or_default().push(photo.name.clone());
+    }
+    let text = |colour: &ColourConversion, count: usize| match colour {
+        ColourConversion::None => String::new(),
+        ColourConversion::Converted(profile) => {
+            format!("{count} photographs have the colour profile {profile} and are converted to sRGB")
+        }
+        ColourConversion::Ignored { profile, reason } => {
+            format!(
+                "the colour profile {profile} of {count} photographs is ignored, and they are taken as sRGB: {reason}"
+            )
+        }
+    };
+    let finding = |(colour, photos): (&ColourConversion, Vec<String>)| Finding {
+        is_problem: false,
+        text: text(colour, photos.len()),
+        photos,
+    };
+    groups.into_iter().map(finding).collect()
 }
 
 /// Findings about the camera's settings over the set.
@@ -153,6 +217,8 @@ mod tests {
             clipped: 0.01,
             overlap: 0.9,
             camera: camera.clone(),
+            colour: ColourConversion::None,
+            digest: i as u64,
         };
         (0..50).map(photo).collect()
     }
@@ -193,5 +259,17 @@ mod tests {
         assert_eq!([3, 11, 12, 39, 40].map(told), [Some(true), Some(true), Some(false), Some(false), None]);
         let found = findings(&sound(), &["x.jpg: is empty".to_owned()]);
         assert!(found[0].is_problem && found[0].photos[0].contains("x.jpg"));
+    }
+
+    #[test]
+    fn copies_are_a_problem_if_too_few_different_photographs_remain() {
+        let copied = |different: u64| {
+            let mut photos = sound();
+            photos.iter_mut().for_each(|photo| photo.digest %= different);
+            findings(&photos, &[]).into_iter().find(|finding| finding.text.contains("identical")).unwrap()
+        };
+        let (two, three) = (copied(2), copied(3));
+        assert!(two.is_problem && two.photos.len() == 48 && two.photos[0] == "2.jpg", "{two:?}");
+        assert!(!three.is_problem && three.text.contains("3 different"), "the control: {three:?}");
     }
 }

@@ -6,8 +6,8 @@ use super::findings::{self, Finding};
 use super::overlap::{self, Thumbnail};
 use super::photo::{self, PhotoStats};
 use crate::formats::exif_data::ExifData;
+use crate::images::Loaded;
 use crate::sharpness;
-use relume_scene::ImageRgba;
 
 /// Statistics of the photographs that were checked, in any order.
 #[derive(Default)]
@@ -17,9 +17,10 @@ impl ImageChecks {
     /// Longest side of the images that are checked, pixels.
     pub(crate) const SIDE: u32 = sharpness::SIDE;
 
-    /// Checks a photograph of `stored` pixels, reduced to at most [`Self::SIDE`].
-    pub(crate) fn add(&self, name: &str, image: &ImageRgba, stored: (u32, u32)) {
-        let stats = photo::stats(name, image, stored, ExifData::default());
+    /// Checks a photograph, reduced to at least [`Self::SIDE`] on its longer side, or as it is stored.
+    pub(crate) fn add(&self, name: &str, photograph: &Loaded) {
+        let Loaded { image, stored, colour, .. } = photograph;
+        let stats = photo::stats(name, image, *stored, ExifData::default(), colour.clone());
         let look = (stats, Thumbnail::of(image));
         self.0.lock().unwrap_or_else(PoisonError::into_inner).push(look);
     }
@@ -41,6 +42,29 @@ impl ImageChecks {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::formats::ColourConversion;
+    use relume_scene::{BitDepth, ImageRgba};
+
+    fn loaded(image: ImageRgba, colour: ColourConversion) -> Loaded {
+        Loaded { image, stored: (4000, 3000), depth: BitDepth::Eight, colour }
+    }
+
+    #[test]
+    fn converted_profiles_are_reported_with_their_photographs() {
+        let image_checks = ImageChecks::default();
+        for i in 0..4u8 {
+            let pixels = (0..1024).map(|p| [f32::from((p * usize::from(i + 3)) as u8) / 255.0; 4]).collect();
+            let colour = match i {
+                0 => ColourConversion::None,
+                _ => ColourConversion::Converted("Display P3".to_owned()),
+            };
+            image_checks
+                .add(&format!("{i}.jpg"), &loaded(ImageRgba { width: 32, height: 32, pixels }, colour));
+        }
+        let found = image_checks.findings();
+        let profile = found.iter().find(|finding| finding.text.contains("Display P3")).unwrap();
+        assert_eq!(profile.photos, ["1.jpg", "2.jpg", "3.jpg"]);
+    }
 
     #[test]
     fn dark_photographs_are_found_and_transparent_pixels_ignored() {
@@ -53,9 +77,9 @@ mod tests {
         };
         let image_checks = ImageChecks::default();
         for i in 0..8 {
-            image_checks.add(&format!("{i}.jpg"), &image(0.12, 0.0), (4000, 3000));
+            image_checks.add(&format!("{i}.jpg"), &loaded(image(0.12, 0.0), ColourConversion::None));
         }
-        image_checks.add("dark.jpg", &image(0.12, 1.0), (4000, 3000));
+        image_checks.add("dark.jpg", &loaded(image(0.12, 1.0), ColourConversion::None));
         let found = image_checks.findings();
         let dark: Vec<_> = found.iter().filter(|finding| finding.text.contains("are dark")).collect();
         assert_eq!(dark.len(), 1, "{found:?}");

@@ -49,6 +49,7 @@ pub fn check_photographs(photographs: &PhotosWithoutPoses) -> PhotographsReport 
     for (stats, similarity) in photos.iter_mut().zip(overlap::with_nearest(&thumbnails)) {
         stats.overlap = similarity;
     }
-    let findings = findings::findings(&photos, &unreadable);
+    let mut findings = findings::findings(&photos, &unreadable);
+    findings.extend(findings::ignored(photographs.ignored()));
     PhotographsReport { photos, findings }
 }

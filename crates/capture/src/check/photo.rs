@@ -1,8 +1,11 @@
 //! Statistics of one photograph.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
+
 use super::overlap::Thumbnail;
+use crate::formats::ColourConversion;
 use crate::formats::exif_data::{self, ExifData};
-use crate::formats::image_file;
+use crate::formats::image_file::{self, Photograph};
 use crate::sharpness::{SIDE, luma, sharpness};
 use crate::{CaptureError, ImportOptions};
 use relume_scene::ImageRgba;
@@ -28,19 +31,29 @@ pub struct PhotoStats {
     pub overlap: f64,
     /// The camera's settings from EXIF.
     pub camera: ExifData,
+    /// The conversion of its colours to sRGB.
+    pub colour: ColourConversion,
+    /// Hash of the decoded pixels, reduced for the checks: equal for identical photographs.
+    pub digest: u64,
 }
 
 /// Decodes a photograph at a reduced size and computes its statistics.
 pub(super) fn analyse(name: &str, bytes: &[u8]) -> Result<(PhotoStats, Thumbnail), CaptureError> {
     let reduce = |size| ImportOptions::at_most(SIDE).reduced_size(size);
-    let decoded = image_file::decode_reduced(bytes, image_file::DEFAULT_MAX_PIXELS, reduce);
-    let (image, size) = decoded.map_err(|error| CaptureError::image(name, error))?;
-    let stats = stats(name, &image, size, exif_data::read(bytes));
+    let decoded = image_file::decode_photograph(bytes, image_file::DEFAULT_MAX_PIXELS, reduce);
+    let Photograph { image, stored, colour } = decoded.map_err(|error| CaptureError::image(name, error))?;
+    let stats = stats(name, &image, stored, exif_data::read(bytes), colour);
     Ok((stats, Thumbnail::of(&image)))
 }
 
 /// Statistics of a reduced image of a photograph of `size` pixels; transparent pixels do not count.
-pub(super) fn stats(name: &str, image: &ImageRgba, size: (u32, u32), camera: ExifData) -> PhotoStats {
+pub(super) fn stats(
+    name: &str,
+    image: &ImageRgba,
+    size: (u32, u32),
+    camera: ExifData,
+    colour: ColourConversion,
+) -> PhotoStats {
     let opaque = |pixel: &[f32; 4]| f64::from(pixel[3]);
     let count = image.pixels.iter().map(opaque).sum::<f64>().max(1e-6);
     let is_clipped = |pixel: &&[f32; 4]| pixel[..3].iter().any(|v| *v >= WHITE);
@@ -52,5 +65,14 @@ pub(super) fn stats(name: &str, image: &ImageRgba, size: (u32, u32), camera: Exi
         clipped: image.pixels.iter().filter(is_clipped).map(opaque).sum::<f64>() / count,
         overlap: 0.0,
         camera,
+        colour,
+        digest: digest(image, size),
     }
+}
+
+fn digest(image: &ImageRgba, size: (u32, u32)) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    size.hash(&mut hasher);
+    image.pixels.as_flattened().iter().for_each(|value| value.to_bits().hash(&mut hasher));
+    hasher.finish()
 }

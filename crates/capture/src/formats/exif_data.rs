@@ -4,6 +4,8 @@ use std::io::Cursor;
 
 use exif::{Exif, In, Reader, Tag, Value};
 
+use super::heif;
+
 /// EXIF data of a photograph; `None` where the camera stated nothing.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ExifData {
@@ -32,7 +34,8 @@ impl ExifData {
     }
 }
 
-/// The EXIF data of a JPEG, PNG, WebP or TIFF; empty if absent or unreadable.
+/// The EXIF data of a JPEG, PNG, WebP, TIFF or HEIC; empty if absent or unreadable. A HEIC picture has no orientation here: its
+/// container states the rotation, and converters apply it.
 pub fn read(bytes: &[u8]) -> ExifData {
     let Ok(exif) = Reader::new().read_from_container(&mut Cursor::new(bytes)) else {
         return ExifData::default();
@@ -47,8 +50,15 @@ pub fn read(bytes: &[u8]) -> ExifData {
         auto_white_balance: integer(Tag::WhiteBalance).map(|mode| mode == 0),
         orientation: integer(Tag::Orientation)
             .and_then(|turn| u8::try_from(turn).ok())
-            .filter(|turn| (1..=8).contains(turn)),
+            .filter(|turn| (1..=8).contains(turn) && !heif::is_heif(bytes)),
     }
+}
+
+/// Whether the interoperability index is R03: the camera used Adobe RGB (Design rule for Camera File system 2.0).
+pub(super) fn is_adobe_rgb(bytes: &[u8]) -> bool {
+    let Ok(exif) = Reader::new().read_from_container(&mut Cursor::new(bytes)) else { return false };
+    let index = exif.get_field(Tag::InteroperabilityIndex, In::PRIMARY).map(|field| &field.value);
+    matches!(index, Some(Value::Ascii(lines)) if lines.first().is_some_and(|line| line.starts_with(b"R03")))
 }
 
 /// A number above zero.
@@ -128,6 +138,24 @@ mod tests {
         assert_eq!((facts.iso, facts.auto_white_balance, facts.focal_mm), (Some(200.0), Some(true), None));
         let twice = ExifData { exposure_s: Some(0.016), ..facts.clone() };
         assert!((twice.exposure_ev().unwrap() - facts.exposure_ev().unwrap() - 1.0).abs() < 1e-9, "a stop");
+    }
+
+    #[test]
+    fn adobe_rgb_is_recognised_by_the_interoperability_index() {
+        // The picture's directory has 18 bytes at 8, that of the camera 18 bytes after it.
+        const INDEX_AT: u32 = 8 + 18 + 18;
+        let with_index = |index: &[u8]| {
+            let pointer = [(0xa005, 4, 1, INDEX_AT.to_le_bytes().to_vec())];
+            let mut file = jpeg(&[], &pointer);
+            file.truncate(file.len() - 2);
+            file.extend(directory(0, &[(0x0001, 2, 4, index.to_vec())]));
+            let length = (file.len() - 4) as u16;
+            file[4..6].copy_from_slice(&length.to_be_bytes());
+            [&file[..], b"\xff\xd9"].concat()
+        };
+        assert!(is_adobe_rgb(&with_index(b"R03\0")));
+        assert!(!is_adobe_rgb(&with_index(b"R98\0")), "sRGB");
+        assert!(!is_adobe_rgb(&jpeg(&[], &[])));
     }
 
     #[test]

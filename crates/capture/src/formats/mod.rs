@@ -1,5 +1,6 @@
 //! File formats: conversion between bytes and plain data.
 
+mod colour;
 pub mod environment;
 mod error;
 pub mod exif_data;
@@ -8,16 +9,24 @@ mod exr_header;
 pub mod exr_image;
 mod foreign;
 pub mod gltf;
+mod heif;
 pub mod image_file;
 pub mod model_file;
 pub mod ply_import;
 pub mod ply_model;
 pub mod ply_points;
 mod ply_table;
+<<<<<<< HEAD
 pub mod png_colour;
+=======
+mod raw_photo;
+>>>>>>> h_pix
 pub mod splats;
 pub mod usd;
 pub mod viewer_stream;
 
+pub use colour::ColourConversion;
 pub use error::ImageFileError;
 pub use foreign::recognise as recognise_foreign;
+pub(crate) use heif::is_heif;
+pub use heif::{CONVERTER_PACKAGE, installed_converter};

@@ -26,8 +26,9 @@ pub(crate) struct MaskFile {
     pub hides: bool,
 }
 
-/// File extensions of masks.
-const ENDINGS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "webp", "exr", "bmp"];
+/// File extensions of masks and photographs.
+const ENDINGS: [&str; 12] =
+    ["png", "jpg", "jpeg", "tif", "tiff", "webp", "exr", "bmp", "heic", "heif", "hif", "avif"];
 /// Ends of a mask's name before its extension.
 const SUFFIXES: [&str; 6] = ["_mask", ".mask", "-mask", "_matte", "_segmentation", "_silhouette"];
 /// Start of the name of a mask whose white pixels are hidden.

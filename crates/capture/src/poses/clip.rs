@@ -6,18 +6,21 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
+use super::clip_probe::{ClipFacts, HighRange};
 use super::error::PoseError;
 use super::process::ExternalProgram;
-use super::process_limits::ProcessLimits;
 use super::run_control::{PoseProgress, PoseStage, RunControl};
 use crate::formats::image_file;
+use crate::process_limits::ProcessLimits;
 use crate::{CaptureError, sharpness};
 
 const INSTALL: &str = "apt-get install ffmpeg, brew install ffmpeg, or https://ffmpeg.org/download.html";
 /// The oldest supported release. Builds that state no release are assumed to be newer.
 const MIN_VERSION: u32 = 4;
-/// Number of frames of an interval that are compared.
+/// Greatest number of frames of an interval that are compared.
 const CANDIDATES: usize = 5;
+/// Frames per second of the extracted pictures, a number without meaning.
+const OUTPUT_RATE: u32 = 25;
 /// Greatest number of kept frames per second; frames closer together show the same image.
 const MAX_FRAMES_PER_SECOND: f64 = 5.0;
 /// File extensions of clips.
@@ -46,7 +49,7 @@ pub fn is_clip(path: &Path) -> bool {
     ENDINGS.contains(&ending.as_str()) && path.is_file()
 }
 
-/// Writes the sharpest frame of each interval of `clip`, upright, as `0001.jpg` and so on into the folder `into`,
+/// Writes the sharpest frame of each interval of `clip`, upright and with a standard dynamic range, as `0001.jpg` and so on into the folder `into`,
 /// which must not exist. Returns the number of frames. The folder appears when it is complete; it includes ffmpeg's
 /// output as `ffmpeg.log`.
 ///
@@ -68,10 +71,13 @@ pub fn frames_of_clip(
     }
     fs::create_dir_all(&part).map_err(PoseError::io(&part))?;
     let part = part.canonicalize().map_err(PoseError::io(&part))?;
-    let seconds = duration(&clip, &part, options, run_control)?;
-    let frames = options.frames.max(3).min((seconds * MAX_FRAMES_PER_SECOND).ceil().max(1.0) as usize);
-    let candidates = extract(&clip, &part, frames, seconds, options, run_control)?;
-    let chosen = sharpest(&candidates)?;
+    let (facts, seconds) = probe(&clip, &part, options, run_control)?;
+    if let Some(range) = facts.high_range() {
+        check_tone_mapping(&clip, &part, range, options, run_control)?;
+    }
+    let plan = FramePlan::new(options.frames, seconds, facts.frame_count(seconds));
+    let candidates = extract(&clip, &part, &plan, &facts, options, run_control)?;
+    let chosen = sharpest(&candidates, plan.candidates)?;
     for (index, candidate) in chosen.iter().enumerate() {
         let name = part.join(format!("{:04}.jpg", index + 1));
         fs::rename(&candidates[*candidate], name).map_err(PoseError::io(&candidates[*candidate]))?;
@@ -83,22 +89,57 @@ pub fn frames_of_clip(
     Ok(chosen.len())
 }
 
-/// Duration of a clip, seconds.
-fn duration(
+/// The frames to extract from a clip.
+#[derive(Debug, PartialEq)]
+struct FramePlan {
+    /// Number of intervals, each of which gives a frame.
+    frames: usize,
+    /// Number of frames of an interval that are compared.
+    candidates: usize,
+    /// Seconds between two compared frames.
+    step: f64,
+}
+
+impl FramePlan {
+    /// At most `wanted` intervals of a clip with a duration and a number of frames. No more frames are compared than the
+    /// clip has: otherwise neighbours would be copies.
+    fn new(wanted: usize, seconds: f64, clip_frames: usize) -> Self {
+        let by_time = (seconds * MAX_FRAMES_PER_SECOND).ceil().max(1.0) as usize;
+        let frames = wanted.max(3).min(by_time).min(clip_frames.max(1));
+        let candidates = (clip_frames / frames).clamp(1, CANDIDATES);
+        Self { frames, candidates, step: seconds / (frames * candidates) as f64 }
+    }
+
+    fn total(&self) -> usize {
+        self.frames * self.candidates
+    }
+
+    /// The filters of ffmpeg that select the first frame of each step. The selected frames get consecutive times at
+    /// [`OUTPUT_RATE`], so that ffmpeg neither copies nor drops frames.
+    fn filters(&self) -> String {
+        let step = self.step;
+        format!(
+            "select='isnan(prev_selected_t)+gt(floor(t/{step}),floor(prev_selected_t/{step}))',settb=1/90000,\
+             setpts=N/{OUTPUT_RATE}/TB"
+        )
+    }
+}
+
+/// The program ffmpeg or ffprobe.
+fn external<'a>(name: &'a Path, log: &'a Path, folder: Option<&'a Path>) -> ExternalProgram<'a> {
+    let process_limits = ProcessLimits::default();
+    ExternalProgram { name: name.as_os_str(), install: INSTALL, log, folder, process_limits }
+}
+
+/// What ffprobe states about a clip, and its duration, seconds.
+fn probe(
     clip: &Path,
     part: &Path,
     options: &ClipOptions,
     run_control: &mut RunControl<'_>,
-) -> Result<f64, PoseError> {
+) -> Result<(ClipFacts, f64), PoseError> {
     let log = part.join("ffmpeg.log");
-    let name = options.ffprobe.as_os_str();
-    let ffprobe = ExternalProgram {
-        name,
-        install: INSTALL,
-        log: &log,
-        folder: None,
-        process_limits: ProcessLimits::default(),
-    };
+    let ffprobe = external(&options.ffprobe, &log, None);
     let mut release = None;
     ffprobe.run(&["-version".as_ref()], run_control, &mut |line, _| release = release.or(version(line)))?;
     if let Some(found) = release.filter(|release| *release < MIN_VERSION) {
@@ -109,54 +150,90 @@ fn duration(
             install: INSTALL,
         });
     }
-    let asked = ["-v", "error", "-show_entries", "format=duration", "-of", "csv=p=0"].map(OsStr::new);
-    let mut seconds = None;
-    ffprobe.run(&[&asked[..], &[clip.as_os_str()]].concat(), run_control, &mut |line, _| {
-        seconds = seconds.or(line.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0));
+    let asked = ClipFacts::ARGUMENTS.map(OsStr::new);
+    let mut facts = ClipFacts::default();
+    let arguments = [&asked[..], &[clip.as_os_str()]].concat();
+    let probed = ffprobe.run(&arguments, run_control, &mut |line, _| facts.read_line(line));
+    probed.map_err(|error| match error {
+        PoseError::Failed { end, .. } => {
+            let reason =
+                format!("is not a video clip that ffmpeg reads: {}", end.lines().next().unwrap_or_default());
+            unusable(clip, &reason)
+        }
+        other => other,
     })?;
-    seconds.ok_or_else(|| {
-        let reason = "is not a video clip of known duration".to_owned();
-        CaptureError::File { file: clip.display().to_string(), reason }.into()
-    })
+    let unusable = || unusable(clip, "is not a video clip of known duration");
+    let seconds = facts.seconds.ok_or_else(unusable)?;
+    Ok((facts, seconds))
 }
 
-/// Frames of the clip in order, [`CANDIDATES`] for each that is kept.
+fn unusable(clip: &Path, reason: &str) -> PoseError {
+    CaptureError::File { file: clip.display().to_string(), reason: reason.to_owned() }.into()
+}
+
+/// Checks that ffmpeg has the filters for a clip with a high dynamic range.
+fn check_tone_mapping(
+    clip: &Path,
+    part: &Path,
+    range: HighRange,
+    options: &ClipOptions,
+    run_control: &mut RunControl<'_>,
+) -> Result<(), PoseError> {
+    let log = part.join("ffmpeg.log");
+    let ffmpeg = external(&options.ffmpeg, &log, None);
+    let mut found = [("zscale", false), ("tonemap", false)];
+    let arguments = ["-hide_banner", "-filters"].map(OsStr::new);
+    ffmpeg.run(&arguments, run_control, &mut |line, _| {
+        let name = line.split_whitespace().nth(1);
+        found
+            .iter_mut()
+            .filter(|(filter, _)| name == Some(filter))
+            .for_each(|(_, is_there)| *is_there = true);
+    })?;
+    match found.iter().find(|(_, is_there)| !is_there) {
+        None => Ok(()),
+        Some((filter, _)) => {
+            let reason = format!(
+                "is a clip with a high dynamic range ({range:?}), and this ffmpeg has no filter `{filter}`: install a complete \
+                 ffmpeg, or save the clip with a standard dynamic range"
+            );
+            Err(unusable(clip, &reason))
+        }
+    }
+}
+
+/// Frames of the clip in order: those that are compared for each interval.
 fn extract(
     clip: &Path,
     part: &Path,
-    frames: usize,
-    seconds: f64,
+    plan: &FramePlan,
+    facts: &ClipFacts,
     options: &ClipOptions,
     run_control: &mut RunControl<'_>,
 ) -> Result<Vec<PathBuf>, PoseError> {
-    let wanted = frames * CANDIDATES;
     let log = part.join("ffmpeg.log");
     // ffmpeg runs in the folder, because it would read a percent sign in the folder's path as a number pattern.
-    let ffmpeg = ExternalProgram {
-        name: options.ffmpeg.as_os_str(),
-        install: INSTALL,
-        log: &log,
-        folder: Some(part),
-        process_limits: ProcessLimits::default(),
-    };
-    let (rate, most) = (format!("fps={}", wanted as f64 / seconds), wanted.to_string());
+    let ffmpeg = external(&options.ffmpeg, &log, Some(part));
+    let filters = format!("{},{}", plan.filters(), facts.colour_filters());
+    let (rate, most) = (OUTPUT_RATE.to_string(), plan.total().to_string());
     let before = ["-nostdin", "-hide_banner", "-nostats", "-progress", "pipe:1", "-i"].map(OsStr::new);
-    let after = ["-vf", &rate, "-frames:v", &most, "-q:v", "2", "candidate_%06d.jpg"].map(OsStr::new);
+    let after = ["-vf", &filters, "-r", &rate, "-frames:v", &most, "-q:v", "2", "candidate_%06d.jpg"];
+    let total = plan.total() as u64;
     ffmpeg.run(
-        &[&before[..], &[clip.as_os_str()], &after].concat(),
+        &[&before[..], &[clip.as_os_str()], &after.map(OsStr::new)].concat(),
         run_control,
         &mut |line, run_control| {
             if let Some(done) = line.strip_prefix("frame=").and_then(|n| n.trim().parse().ok()) {
-                (run_control.progress)(PoseProgress { stage: PoseStage::Frames, done, total: wanted as u64 });
+                (run_control.progress)(PoseProgress { stage: PoseStage::Frames, done, total });
             }
         },
     )?;
     let candidate = |i: usize| part.join(format!("candidate_{i:06}.jpg"));
-    Ok((1..=wanted).map(candidate).take_while(|file| file.is_file()).collect())
+    Ok((1..=plan.total()).map(candidate).take_while(|file| file.is_file()).collect())
 }
 
-/// The index of the sharpest of each [`CANDIDATES`] consecutive files.
-fn sharpest(candidates: &[PathBuf]) -> Result<Vec<usize>, PoseError> {
+/// The index of the sharpest of each `count` consecutive files.
+fn sharpest(candidates: &[PathBuf], count: usize) -> Result<Vec<usize>, PoseError> {
     let sharpness = |file: &PathBuf| {
         let bytes = fs::read(file).map_err(PoseError::io(file))?;
         let reduced = |size| crate::ImportOptions::at_most(sharpness::SIDE).reduced_size(size);
@@ -168,9 +245,9 @@ fn sharpest(candidates: &[PathBuf]) -> Result<Vec<usize>, PoseError> {
     let values = values.into_iter().collect::<Result<Vec<_>, _>>()?;
     let sharpest = |(group, values): (usize, &[f64])| {
         let (best, _) = values.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
-        Some(group * CANDIDATES + best)
+        Some(group * count + best)
     };
-    Ok(values.chunks(CANDIDATES).enumerate().filter_map(sharpest).collect())
+    Ok(values.chunks(count.max(1)).enumerate().filter_map(sharpest).collect())
 }
 
 /// The release in a line like `ffprobe version 5.1.6-0+deb12u1 Copyright ...`.
@@ -199,9 +276,75 @@ mod tests {
             path
         };
         let candidates: Vec<PathBuf> = (0..12).map(file).collect();
-        assert_eq!(sharpest(&candidates).unwrap(), [3, 6, 11]);
+        assert_eq!(sharpest(&candidates, CANDIDATES).unwrap(), [3, 6, 11]);
         fs::write(&candidates[4], "no picture").unwrap();
-        assert!(sharpest(&candidates).is_err());
+        assert!(sharpest(&candidates, CANDIDATES).is_err());
+    }
+
+    #[test]
+    fn no_more_frames_are_compared_than_the_clip_has() {
+        let plan = |wanted, seconds, frames| {
+            let plan = FramePlan::new(wanted, seconds, frames);
+            (plan.frames, plan.candidates)
+        };
+        assert_eq!(plan(80, 60.0, 1800), (80, 5));
+        assert_eq!(plan(80, 6.0, 48), (30, 1), "8 frames a second");
+        assert_eq!(plan(80, 6.0, 144), (30, 4));
+        assert_eq!(plan(80, 10.0, 7), (7, 1));
+        assert_eq!(plan(0, 0.1, 0), (1, 1));
+        for frames in 1..400 {
+            let plan = FramePlan::new(80, 6.0, frames);
+            assert!(plan.total() <= frames && plan.step * plan.total() as f64 <= 6.0 + 1e-9, "{plan:?}");
+        }
+    }
+
+    /// Makes a clip with ffmpeg and returns its frames, as decoded pictures.
+    fn frames_of(source: &[&str]) -> Vec<relume_scene::ImageRgba> {
+        let folder = tempfile::TempDir::new().unwrap();
+        let (clip, into) = (folder.path().join("100% a.mp4"), folder.path().join("frames"));
+        let start = ["-loglevel", "error", "-f", "lavfi"];
+        let status =
+            std::process::Command::new("ffmpeg").args(start).args(source).arg(&clip).status().unwrap();
+        assert!(status.success());
+        let mut ignored = |_| {};
+        let mut run_control = RunControl::new(std::time::Duration::from_secs(600), &mut ignored, &|| false);
+        let count = frames_of_clip(&clip, &into, &ClipOptions::default(), &mut run_control).unwrap();
+        let read = |i: usize| {
+            let bytes = fs::read(into.join(format!("{i:04}.jpg"))).unwrap();
+            image_file::decode(&bytes, 1 << 20).unwrap()
+        };
+        (1..=count).map(read).collect()
+    }
+
+    #[test]
+    #[ignore = "needs ffmpeg and ffprobe"]
+    fn frames_of_a_slow_clip_are_all_different() {
+        let frames = frames_of(&["-i", "testsrc2=size=64x48:rate=8:duration=3", "-c:v", "mpeg4"]);
+        assert!((12..=15).contains(&frames.len()), "{}", frames.len());
+        assert!(frames.windows(2).all(|pair| pair[0] != pair[1]), "no copies");
+    }
+
+    #[test]
+    #[ignore = "needs ffmpeg with zscale, x265 and ffprobe"]
+    fn high_dynamic_range_clips_look_like_standard_ones() {
+        let colours = "color=c=0xb04030:size=64x48:rate=10:duration=1";
+        let plain = &frames_of(&["-i", colours, "-c:v", "mpeg4", "-q:v", "1"])[0];
+        let pixel =
+            |image: &relume_scene::ImageRgba| [0, 1, 2].map(|k| image.pixels[24 * 64 + 32][k] * 255.0);
+        let near = |a: [f32; 3], b: [f32; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 8.0);
+        assert!(near(pixel(plain), [176.0, 64.0, 48.0]), "{:?}", pixel(plain));
+        for transfer in ["arib-std-b67", "smpte2084"] {
+            let filter = format!(
+                "format=gbrp,setparams=color_primaries=bt709:color_trc=iec61966-2-1:colorspace=gbr:range=pc,\
+                 zscale=t=linear:npl=203,format=gbrpf32le,\
+                 zscale=p=bt2020:t={transfer}:m=bt2020nc:r=limited:npl=203,format=yuv420p10le"
+            );
+            let tags = ["-color_primaries", "bt2020", "-color_trc", transfer, "-colorspace", "bt2020nc"];
+            let encoder = ["-c:v", "libx265", "-x265-params", "log-level=none:crf=4"];
+            let source = [&["-i", colours, "-vf", &filter][..], &encoder, &tags].concat();
+            let found = pixel(&frames_of(&source)[0]);
+            assert!(near(found, pixel(plain)), "{transfer}: {found:?} {:?}", pixel(plain));
+        }
     }
 
     #[test]

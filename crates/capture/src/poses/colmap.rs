@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use super::error::PoseError;
 use super::process::ExternalProgram;
-use super::process_limits::ProcessLimits;
 use super::run_control::{PoseProgress, PoseStage, RunControl};
 use super::workspace::Workspace;
+use crate::process_limits::ProcessLimits;
 use crate::{ImportLimits, PhotosWithoutPoses, cameras_of_colmap};
 
 /// The oldest supported version of COLMAP.
@@ -81,7 +81,7 @@ pub fn find_poses(
         workspace.finish(&model)?;
     }
     let placed = placed(into)?;
-    let is_unplaced = |name: &&str| !placed.iter().any(|p| p == name);
+    let is_unplaced = |name: &&str| !placed.contains(&photographs.converted_name(name));
     let unregistered: Vec<String> = photographs.photos().filter(is_unplaced).map(str::to_owned).collect();
     Ok(PoseResult { photographs: photographs.photos().len(), unregistered, already_present })
 }
@@ -176,7 +176,12 @@ impl<'a> Colmap<'a> {
 
     fn program(&self) -> ExternalProgram<'_> {
         let PoseOptions { memory, low_priority, .. } = *self.options;
-        let process_limits = ProcessLimits { memory, low_priority, marker: Some(self.workspace.marker()) };
+        let process_limits = ProcessLimits {
+            memory,
+            low_priority,
+            marker: Some(self.workspace.marker()),
+            ..ProcessLimits::default()
+        };
         let name = self.options.program.as_os_str();
         ExternalProgram { name, install: INSTALL, log: &self.log, folder: None, process_limits }
     }

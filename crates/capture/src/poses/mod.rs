@@ -4,10 +4,10 @@
 //! time limit, and are killed if the caller cancels.
 
 mod clip;
+mod clip_probe;
 mod colmap;
 mod error;
 mod process;
-mod process_limits;
 mod run_control;
 mod workspace;
 

@@ -8,8 +8,8 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use super::error::PoseError;
-use super::process_limits::ProcessLimits;
 use super::run_control::RunControl;
+use crate::process_limits::ProcessLimits;
 
 /// Interval at which a running program is checked.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);

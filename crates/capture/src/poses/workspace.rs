@@ -3,8 +3,11 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
+
 use super::error::PoseError;
-use crate::{PhotosWithoutPoses, masks};
+use crate::formats::{image_file, is_heif};
+use crate::{CaptureError, PhotosWithoutPoses, masks};
 
 /// The folder of an unfinished capture.
 pub(super) struct Workspace {
@@ -18,7 +21,10 @@ impl Workspace {
     /// [`PoseError::FolderNotEmpty`] if the folder contains other photographs.
     pub(super) fn fill(root: &Path, photographs: &PhotosWithoutPoses) -> Result<Self, PoseError> {
         let workspace = Self { root: root.to_owned() };
-        let wanted: Vec<PathBuf> = photographs.photos().map(|name| workspace.images().join(name)).collect();
+        let wanted: Vec<PathBuf> = photographs
+            .photos()
+            .map(|name| workspace.images().join(photographs.converted_name(name)))
+            .collect();
         for other in files_below(&workspace.images())?.into_iter().filter(|file| !wanted.contains(file)) {
             // A partial copy that an interrupted run left.
             if other.extension().is_some_and(|e| e == PARTIAL) {
@@ -30,15 +36,17 @@ impl Workspace {
         if workspace.is_done() && wanted.iter().any(|file| !file.is_file()) {
             return Err(PoseError::FolderNotEmpty(root.to_owned()));
         }
-        for (name, file) in photographs.photos().zip(&wanted) {
-            keep(file, &photographs.read(name)?).map_err(|error| match error {
-                PoseError::FolderNotEmpty(_) => PoseError::FolderNotEmpty(root.to_owned()),
-                other => other,
-            })?;
-        }
+        let names: Vec<&str> = photographs.photos().collect();
+        let copied: Vec<_> =
+            names.par_iter().zip(&wanted).map(|(name, file)| copy(photographs, name, file)).collect();
+        copied.into_iter().collect::<Result<(), _>>().map_err(|error| match error {
+            PoseError::FolderNotEmpty(_) => PoseError::FolderNotEmpty(root.to_owned()),
+            other => other,
+        })?;
         for (mask, of) in photographs.masks() {
             let png = masks::as_png(mask, photographs.read(&mask.path)?)?;
-            keep(&root.join("masks").join(format!("{of}.png")), &png)?;
+            let name = format!("{}.png", photographs.converted_name(of));
+            keep(&root.join("masks").join(name), &png)?;
         }
         Ok(workspace)
     }
@@ -82,6 +90,16 @@ impl Workspace {
     }
 }
 
+/// Copies a photograph; COLMAP reads neither HEIC nor AVIF, so these become JPEG files.
+fn copy(photographs: &PhotosWithoutPoses, name: &str, file: &Path) -> Result<(), PoseError> {
+    let bytes = photographs.read(name)?;
+    if !is_heif(&bytes) {
+        return keep(file, &bytes);
+    }
+    let jpeg = image_file::heif_as_jpeg(&bytes, photographs.limits().max_image_pixels);
+    keep(file, &jpeg.map_err(|error| CaptureError::image(name, error))?)
+}
+
 /// Extension of a file that is being written.
 const PARTIAL: &str = "relume-tmp";
 
@@ -110,4 +128,52 @@ fn files_below(folder: &Path) -> Result<Vec<PathBuf>, PoseError> {
         }
     }
     Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::process::Command;
+
+    use super::*;
+    use crate::ImportLimits;
+    use crate::formats::image_file::{decode, encode_png};
+
+    #[test]
+    #[ignore = "needs heif-enc and heif-convert (Debian: libheif-examples)"]
+    fn heic_photographs_become_jpeg_files_with_their_masks() {
+        let (folder, into) = (tempfile::TempDir::new().unwrap(), tempfile::TempDir::new().unwrap());
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir(at("masks")).unwrap();
+        fs::write(at("a.png"), encode_png(64, 48, &[[200u8, 120, 60]; 64 * 48]).unwrap()).unwrap();
+        // The content decides, not the name.
+        for name in ["IMG_1.HEIC", "IMG_2.jpg"] {
+            let made = at("x.heic");
+            let status = Command::new("heif-enc").arg("-o").args([&made, &at("a.png")]).status().unwrap();
+            assert!(status.success());
+            fs::rename(made, at(name)).unwrap();
+            let mask = encode_png(64, 48, &[[255u8]; 64 * 48]).unwrap();
+            fs::write(at("masks").join(format!("{name}.png")), mask).unwrap();
+        }
+        let photographs = PhotosWithoutPoses::open(folder.path(), &ImportLimits::default()).unwrap().unwrap();
+        assert_eq!(photographs.photos().collect::<Vec<_>>(), ["IMG_1.HEIC", "IMG_2.jpg", "a.png"]);
+        let workspace = Workspace::fill(into.path(), &photographs).unwrap();
+        let mut files = files_below(into.path()).unwrap();
+        files.sort();
+        let names = files.iter().map(|file| file.strip_prefix(into.path()).unwrap().display().to_string());
+        assert_eq!(
+            names.collect::<Vec<_>>(),
+            [
+                "images/IMG_1.HEIC.jpg",
+                "images/IMG_2.jpg.jpg",
+                "images/a.png",
+                "masks/IMG_1.HEIC.jpg.png",
+                "masks/IMG_2.jpg.jpg.png",
+            ]
+        );
+        let bytes = fs::read(workspace.images().join("IMG_1.HEIC.jpg")).unwrap();
+        let pixel = decode(&bytes, 1 << 20).unwrap().pixels[0].map(|v| v * 255.0);
+        assert!(pixel.iter().zip([200.0, 120.0, 60.0]).all(|(a, b)| (a - b).abs() < 6.0), "{pixel:?}");
+        assert!(bytes.starts_with(b"\xff\xd8"), "a JPEG");
+        assert!(Workspace::fill(into.path(), &photographs).is_ok(), "the next run finds equal files");
+    }
 }

@@ -6,6 +6,7 @@ mod archives;
 mod bad_input;
 mod layouts;
 mod masks;
+mod pixels;
 mod rig;
 mod variants;
 mod with_data;

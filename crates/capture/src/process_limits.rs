@@ -7,9 +7,11 @@ use std::process::Child;
 
 /// Limits of an external program. They are enforced only on Linux.
 #[derive(Debug, Default)]
-pub(super) struct ProcessLimits {
+pub(crate) struct ProcessLimits {
     /// Limit on memory, bytes; `None` for no limit.
     pub memory: Option<u64>,
+    /// Limit on the size of a file that it writes, bytes; `None` for no limit.
+    pub file_bytes: Option<u64>,
     /// Whether the program runs at low CPU priority.
     pub low_priority: bool,
     /// A file with the id of the running program. If this process is killed, the next run kills the program it left.
@@ -29,7 +31,7 @@ mod linux {
 
     impl ProcessLimits {
         /// Applies the limits to a program that was just started.
-        pub(in super::super) fn apply_to(&self, child: &Child) -> std::io::Result<()> {
+        pub(crate) fn apply_to(&self, child: &Child) -> std::io::Result<()> {
             let Some(pid) = Pid::from_raw(child.id().cast_signed()) else { return Ok(()) };
             if let Some(marker) = &self.marker {
                 std::fs::write(marker, child.id().to_string())?;
@@ -38,16 +40,18 @@ mod linux {
             if self.low_priority {
                 let _ = rustix::process::setpriority_process(Some(pid), NICE);
             }
-            if let Some(bytes) = self.memory {
-                let limit = Rlimit { current: Some(bytes), maximum: Some(bytes) };
-                let _ = rustix::process::prlimit(Some(pid), Resource::Data, limit);
+            for (resource, limit) in [(Resource::Data, self.memory), (Resource::Fsize, self.file_bytes)] {
+                if limit.is_some() {
+                    let limit = Rlimit { current: limit, maximum: limit };
+                    let _ = rustix::process::prlimit(Some(pid), resource, limit);
+                }
             }
             Ok(())
         }
 
         /// Kills the program that an earlier process left running, if the process in the marker still has the
         /// marker's folder in its command line.
-        pub(in super::super) fn kill_leftover(&self) {
+        pub(crate) fn kill_leftover(&self) {
             let named = || {
                 let marker = self.marker.as_ref()?;
                 let pid: i32 = std::fs::read_to_string(marker).ok()?.trim().parse().ok()?;
@@ -69,18 +73,18 @@ mod linux {
 #[cfg(not(target_os = "linux"))]
 impl ProcessLimits {
     /// Applies the limits to a program: unsupported on this system.
-    pub(super) fn apply_to(&self, _: &Child) -> std::io::Result<()> {
-        let _ = (self.memory, self.low_priority);
+    pub(crate) fn apply_to(&self, _: &Child) -> std::io::Result<()> {
+        let _ = (self.memory, self.file_bytes, self.low_priority);
         Ok(())
     }
 
     /// Kills the program that an earlier process left: unsupported on this system.
-    pub(super) fn kill_leftover(&self) {}
+    pub(crate) fn kill_leftover(&self) {}
 }
 
 impl ProcessLimits {
     /// Removes the marker of a program that has exited.
-    pub(super) fn forget(&self) {
+    pub(crate) fn forget(&self) {
         if let Some(marker) = &self.marker {
             let _ = std::fs::remove_file(marker);
         }
@@ -91,34 +95,33 @@ impl ProcessLimits {
 #[cfg(target_os = "linux")]
 mod tests {
     use std::path::Path;
-    use std::process::Command;
+    use std::process::{Command, Stdio};
     use std::time::Duration;
 
     use super::*;
-    use crate::poses::process::ExternalProgram;
-    use crate::poses::run_control::RunControl;
 
     /// The lines that `sh -c script` writes under these limits.
-    fn said(process_limits: ProcessLimits, script: &str, folder: &Path) -> Vec<String> {
-        let (log, mut lines, mut ignored) = (folder.join("x.log"), Vec::new(), |_| {});
-        let program =
-            ExternalProgram { name: "sh".as_ref(), install: "", log: &log, folder: None, process_limits };
-        let mut run_control = RunControl::new(Duration::from_secs(60), &mut ignored, &|| false);
-        let arguments = ["-c".as_ref(), script.as_ref()];
-        program.run(&arguments, &mut run_control, &mut |line, _| lines.push(line.to_owned())).unwrap();
-        lines
+    fn said(process_limits: &ProcessLimits, script: &str) -> Vec<String> {
+        let child = Command::new("sh").args(["-c", script]).stdout(Stdio::piped()).spawn().unwrap();
+        process_limits.apply_to(&child).unwrap();
+        let output = child.wait_with_output().unwrap();
+        String::from_utf8(output.stdout).unwrap().lines().map(str::to_owned).collect()
     }
 
     #[test]
     fn program_runs_with_a_memory_limit_and_lower_priority() {
-        let folder = tempfile::TempDir::new().unwrap();
         // The limits are applied right after the start.
-        let script = "sleep 0.5; ulimit -d; nice";
-        let process_limits = ProcessLimits { memory: Some(64 << 20), low_priority: true, marker: None };
-        let held = said(process_limits, script, folder.path());
-        let free = said(ProcessLimits::default(), script, folder.path());
-        assert_eq!(held[0], "65536", "KiB");
-        assert_ne!((&held[0], &held[1]), (&free[0], &free[1]), "the control");
+        let script = "sleep 0.5; ulimit -d; nice; ulimit -f";
+        let process_limits = ProcessLimits {
+            memory: Some(64 << 20),
+            file_bytes: Some(1 << 20),
+            low_priority: true,
+            marker: None,
+        };
+        let held = said(&process_limits, script);
+        let free = said(&ProcessLimits::default(), script);
+        assert_eq!((held[0].as_str(), held[2].as_str()), ("65536", "2048"), "KiB, and blocks of 512 bytes");
+        assert!(held.iter().zip(&free).all(|(held, free)| held != free), "the control");
         let nice = |lines: &[String]| lines[1].parse::<i32>().unwrap();
         assert_eq!(nice(&held), (nice(&free) + 10).min(19));
     }
