@@ -87,13 +87,8 @@ fn load_one(
     options: &ImportOptions,
     image_checks: Option<&ImageChecks>,
 ) -> Result<CaptureView, CaptureError> {
-<<<<<<< HEAD
-    let Loaded { mut image, stored, depth } = match image_checks {
-        None => load_photo(source, &photo.image, photo.lens.approximate_size(), options)?,
-=======
     let Loaded { mut image, stored, depth, .. } = match image_checks {
-        None => load_photo(source, &photo.image, photo.lens.size, options)?,
->>>>>>> h_pix
+        None => load_photo(source, &photo.image, photo.lens.approximate_size(), options)?,
         Some(image_checks) => load_and_check(source, photo, options, image_checks)?,
     };
     if let Some(mask) = &photo.mask {
@@ -119,13 +114,8 @@ fn load_and_check(
 ) -> Result<Loaded, CaptureError> {
     let side = options.max_side.map_or(ImageChecks::SIDE, |side| side.max(ImageChecks::SIDE));
     let larger = ImportOptions { max_side: Some(side), ..*options };
-<<<<<<< HEAD
     let loaded = load_photo(source, &photo.image, photo.lens.approximate_size(), &larger)?;
-    image_checks.add(&photo.image, &loaded.image, loaded.stored);
-=======
-    let loaded = load_photo(source, &photo.image, photo.lens.size, &larger)?;
     image_checks.add(&photo.image, &loaded);
->>>>>>> h_pix
     let (width, height) = options.reduced_size(loaded.stored);
     Ok(Loaded { image: loaded.image.resized(width, height), ..loaded })
 }

@@ -7,12 +7,8 @@ use rayon::prelude::*;
 
 use crate::formats::is_heif;
 use crate::masks::{self, MaskFile};
-<<<<<<< HEAD
-use crate::{CaptureError, CaptureFiles, ImportLimits, images, layout};
-=======
 use crate::selection::{self, IgnoredFile, Selection};
-use crate::{CaptureError, CaptureFiles, ImportLimits, images, import};
->>>>>>> h_pix
+use crate::{CaptureError, CaptureFiles, ImportLimits, images, layout};
 
 /// Bytes at the start of a file that tell whether it is a HEIC picture.
 const HEIF_START: u64 = 64;
@@ -40,11 +36,7 @@ impl PhotosWithoutPoses {
     /// of a camera.
     pub fn open(path: &Path, limits: &ImportLimits) -> Result<Option<Self>, CaptureError> {
         let source = CaptureFiles::open(path, limits)?;
-<<<<<<< HEAD
-        Ok(if layout::is_present(&source) { None } else { Self::of(source) })
-=======
-        if import::has_layout(&source) { Ok(None) } else { Self::of(source) }
->>>>>>> h_pix
+        if layout::is_present(&source) { Ok(None) } else { Self::of(source) }
     }
 
     /// The photographs of `path`, whether or not the files include poses. `None` without photographs.

@@ -39,6 +39,9 @@ pub enum ImageFileError {
     /// The file is truncated or corrupt.
     #[error("cannot be decoded: {0}")]
     Damaged(String),
+    /// A valid file with content that the reader does not support; the text names it and the remedy.
+    #[error("{0}")]
+    Unsupported(String),
     /// The pixels given to an encoder do not match the size.
     #[error("{0}")]
     Encode(String),

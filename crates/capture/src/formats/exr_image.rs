@@ -1,73 +1,180 @@
-//! OpenEXR images as linear RGBA, for photographs and environment maps.
+//! OpenEXR images as linear Rec.709 RGBA, for photographs and environment maps.
 
 use std::io::Cursor;
 
+use exr::meta::attribute::Chromaticities;
 use exr::meta::header::Header;
-use exr::prelude::{AnyChannels, FlatSamples, Layer, MetaData, ReadChannels, ReadLayers, WritableImage};
+use exr::prelude::{
+    AnyChannels, FlatSamples, Image, IntegerBounds, Layer, Layers, MetaData, ReadChannels, ReadLayers,
+    WritableImage,
+};
 
-use crate::formats::ImageFileError;
+use crate::formats::chromaticities::ToRec709;
+use crate::formats::exr_channels::{self, ColourChannels};
+use crate::formats::{ImageFileError, exr_window};
+
+pub use exr::meta::attribute::EnvironmentMap;
 
 /// Greatest number of decoded bytes of one file, all parts and channels together.
 const MAX_DECODED_BYTES: u64 = 4 << 30;
+/// Bytes of a pixel of [`ExrImage`].
+const PIXEL_BYTES: u64 = 16;
+
+/// An image read from a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExrImage {
+    /// Width of the display window, pixels.
+    pub width: u32,
+    /// Height of the display window, pixels.
+    pub height: u32,
+    /// Row-major linear Rec.709 with alpha; absent alpha is 1. Pixels outside the data window are 0.
+    pub pixels: Vec<[f32; 4]>,
+    /// The layout of an environment map, if the attribute `envmap` states it.
+    pub environment: Option<EnvironmentMap>,
+    /// Conversions, and attributes that could not be used.
+    pub notes: Vec<String>,
+}
 
 /// True when the bytes begin like an OpenEXR file.
 pub fn is_exr(bytes: &[u8]) -> bool {
     bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01])
 }
 
-/// Width and height of the first part, from the header.
+/// Width and height of the display window, from the header.
 ///
 /// # Errors
-/// [`ImageFileError::Damaged`] if the header cannot be read or names data that this reader does not support.
+/// [`ImageFileError::Damaged`] if the header cannot be read; [`ImageFileError::Unsupported`] if it names data that this
+/// reader does not support, or has no colour.
 pub fn dimensions(bytes: &[u8]) -> Result<(u32, u32), ImageFileError> {
     let meta = checked_header(bytes)?;
-    let Some(first) = meta.headers.first() else {
-        return Err(ImageFileError::Damaged("it has no parts".to_owned()));
-    };
-    let side = |n: usize| u32::try_from(n).map_err(|_| ImageFileError::Damaged("is too large".into()));
-    Ok((side(first.layer_size.x())?, side(first.layer_size.y())?))
+    let colour = exr_channels::find(&meta.headers)?;
+    sides(display_window(&meta.headers[colour.part]))
 }
 
-/// Bytes of all parts and channels once they are decoded, from the header.
+/// Bytes that [`decode`] takes in addition to the file: all parts and channels, and the pixels of the image. From the
+/// header.
 ///
 /// # Errors
 /// As [`dimensions`].
 pub fn decoded_bytes(bytes: &[u8]) -> Result<u64, ImageFileError> {
-    Ok(checked_header(bytes)?.headers.iter().map(part_bytes).sum())
+    let meta = checked_header(bytes)?;
+    let colour = exr_channels::find(&meta.headers)?;
+    let header = &meta.headers[colour.part];
+    let parts = meta.headers.iter().map(part_bytes).fold(0u64, u64::saturating_add);
+    let placed =
+        if display_window(header) == header.data_window() { 0 } else { area(display_window(header)) };
+    let pixels = area(header.data_window()).saturating_add(placed).saturating_mul(PIXEL_BYTES);
+    Ok(parts.saturating_add(pixels))
+}
+
+fn area(window: IntegerBounds) -> u64 {
+    (window.size.x() as u64).saturating_mul(window.size.y() as u64)
 }
 
 fn part_bytes(header: &Header) -> u64 {
-    let pixels = header.layer_size.x() as u64 * header.layer_size.y() as u64;
-    pixels.saturating_mul(4 * header.channels.list.len() as u64)
+    area(header.data_window()).saturating_mul(4 * header.channels.list.len() as u64)
+}
+
+fn display_window(header: &Header) -> IntegerBounds {
+    header.shared_attributes.display_window
+}
+
+fn sides(window: IntegerBounds) -> Result<(u32, u32), ImageFileError> {
+    let side = |n: usize| u32::try_from(n).map_err(|_| ImageFileError::Damaged("is too large".into()));
+    Ok((side(window.size.x())?, side(window.size.y())?))
 }
 
 /// The header, after checking that this reader supports it and that its size is within bounds.
 fn checked_header(bytes: &[u8]) -> Result<MetaData, ImageFileError> {
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
-    let refuse = |reason: &str| Err(ImageFileError::Damaged(reason.to_owned()));
+    let refuse = |reason: &str| Err(ImageFileError::Unsupported(reason.to_owned()));
     let mut decoded = 0u64;
     for header in &meta.headers {
         if header.deep {
-            return refuse("deep EXR data is not supported");
+            return refuse("has deep data, which Relume does not read; flatten it to one sample a pixel");
         }
         if header.channels.list.iter().any(|c| (c.sampling.x(), c.sampling.y()) != (1, 1)) {
-            return refuse("subsampled EXR channels are not supported");
+            // Files with luminance and chroma are subsampled, and are named so.
+            exr_channels::find(&meta.headers)?;
+            return refuse(
+                "has subsampled channels, which Relume does not read; save it without subsampling",
+            );
         }
         decoded = decoded.saturating_add(part_bytes(header));
     }
     if decoded > MAX_DECODED_BYTES {
-        return refuse("it decodes to more than 4 GiB");
+        return refuse("decodes to more than 4 GiB");
     }
     Ok(meta)
 }
 
-/// The first part with `R G B` (or luminance `Y`), as `(width, height, pixels)`; absent alpha is 1.
+/// Reads the colour of a file: RGB of any part before luminance `Y`, a single layer of colour, placed in the display
+/// window and converted to Rec.709 if the attribute `chromaticities` states other primaries.
 ///
 /// # Errors
-/// [`ImageFileError::Damaged`] when the file is corrupt or no part has colour.
+/// [`ImageFileError::Damaged`] when the file is corrupt; [`ImageFileError::Unsupported`] names the channels that were
+/// found if there is no colour, deep and subsampled data, and a data window outside the display window.
+pub fn decode(bytes: &[u8]) -> Result<ExrImage, ImageFileError> {
+    let meta = checked_header(bytes)?;
+    let colour = exr_channels::find(&meta.headers)?;
+    let header = &meta.headers[colour.part];
+    let (display, data) = (display_window(header), header.data_window());
+    let (width, height) = sides(display)?;
+    if area(display).saturating_mul(PIXEL_BYTES) > MAX_DECODED_BYTES {
+        return Err(ImageFileError::Unsupported("has a display window of more than 4 GiB".to_owned()));
+    }
+    let mut notes = Vec::new();
+    let coverage = exr_window::coverage(data, display)?;
+    let pixels = read_pixels(bytes, &colour)?;
+    if pixels.len() as u64 != area(data) {
+        return Err(ImageFileError::Damaged("its pixels do not fill its data window".to_owned()));
+    }
+    let mut pixels = exr_window::placed(pixels, data, display);
+    if coverage < 1.0 {
+        notes.push(format!(
+            "the data window covers {:.0} % of the display window; the rest is black",
+            100.0 * coverage
+        ));
+    }
+    if let Some(stated) = header.shared_attributes.chromaticities {
+        notes.extend(convert(stated, &mut pixels));
+    }
+    let environment = header.own_attributes.environment_map;
+    Ok(ExrImage { width, height, pixels, environment, notes })
+}
+
+/// As [`decode`], as `(width, height, pixels)`.
+///
+/// # Errors
+/// As [`decode`].
 pub fn decode_rgba(bytes: &[u8]) -> Result<(u32, u32, Vec<[f32; 4]>), ImageFileError> {
-    dimensions(bytes)?;
-    let image = exr::prelude::read()
+    decode(bytes).map(|image| (image.width, image.height, image.pixels))
+}
+
+/// Converts colours from the stated primaries to Rec.709. Returns a note if the colours changed or the primaries are
+/// unusable.
+fn convert(stated: Chromaticities, pixels: &mut [[f32; 4]]) -> Option<String> {
+    let xy = [stated.red, stated.green, stated.blue, stated.white].map(|v| [v.x(), v.y()]);
+    match ToRec709::of(xy) {
+        Ok(None) => None,
+        Ok(Some(conversion)) => {
+            for [r, g, b, _] in pixels {
+                [*r, *g, *b] = conversion.apply([*r, *g, *b]);
+            }
+            Some(format!(
+                "the colours were converted from {} to Rec.709 (attribute chromaticities)",
+                conversion.name
+            ))
+        }
+        Err(_) => {
+            Some("the attribute chromaticities is unusable; the colours were taken as Rec.709".to_owned())
+        }
+    }
+}
+
+/// The pixels of the data window, row-major.
+fn read_pixels(bytes: &[u8], colour: &ColourChannels) -> Result<Vec<[f32; 4]>, ImageFileError> {
+    let image: Image<Layers<AnyChannels<FlatSamples>>> = exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()
         .all_channels()
@@ -75,30 +182,16 @@ pub fn decode_rgba(bytes: &[u8]) -> Result<(u32, u32, Vec<[f32; 4]>), ImageFileE
         .all_attributes()
         .from_buffered(Cursor::new(bytes))
         .map_err(damaged)?;
-    let found = image.layer_data.iter().find_map(|layer| Some((layer, colour_channels(layer)?)));
-    let (layer, [r, g, b, a]) =
-        found.ok_or_else(|| ImageFileError::Damaged("no part has channels R, G, B or Y".into()))?;
-    let [r, g, b] = [r, g, b].map(values);
-    let opaque = vec![1.0; r.len()];
-    let a = a.map_or(opaque, |c| values(Some(c)));
-    let pixels = (0..r.len()).map(|i| [r[i], g[i], b[i], a[i]]).collect();
-    Ok((layer.size.x() as u32, layer.size.y() as u32, pixels))
-}
-
-/// Red, green, blue (always present) and alpha (optional) of a part.
-fn colour_channels(layer: &Layer<AnyChannels<FlatSamples>>) -> Option<[Option<&FlatSamples>; 4]> {
-    let named = |name: &str| layer.channel_data.list.iter().find(|c| c.name.eq(name)).map(|c| &c.sample_data);
-    let alpha = named("A");
-    let rgb = [named("R"), named("G"), named("B")];
-    if rgb.iter().all(Option::is_some) {
-        return Some([rgb[0], rgb[1], rgb[2], alpha]);
+    let layer: Option<&Layer<AnyChannels<FlatSamples>>> = image.layer_data.get(colour.part);
+    let missing = || ImageFileError::Damaged("a part of its header is missing in its data".to_owned());
+    let layer = layer.ok_or_else(missing)?;
+    let mut pixels = vec![[0.0, 0.0, 0.0, 1.0]; layer.size.area()];
+    let places = colour.rgb.into_iter().map(Some).chain([colour.alpha]).enumerate();
+    for (place, channel) in places.filter_map(|(place, channel)| Some((place, channel?))) {
+        let samples = &layer.channel_data.list.get(channel).ok_or_else(missing)?.sample_data;
+        pixels.iter_mut().zip(samples.values_as_f32()).for_each(|(pixel, value)| pixel[place] = value);
     }
-    let luminance = named("Y")?;
-    Some([Some(luminance), Some(luminance), Some(luminance), alpha])
-}
-
-fn values(samples: Option<&FlatSamples>) -> Vec<f32> {
-    samples.map(|s| s.values_as_f32().collect()).unwrap_or_default()
+    Ok(pixels)
 }
 
 /// A single-part RGB EXR of f32 values, ZIP-compressed.
@@ -126,22 +219,4 @@ fn damaged(error: exr::error::Error) -> ImageFileError {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rgb_round_trips_exactly() {
-        let pixels: Vec<[f32; 3]> = (0..6).map(|i| [i as f32 * 0.3, -0.5, 6e4]).collect();
-        let (w, h, back) = decode_rgba(&encode_rgb(3, 2, &pixels).unwrap()).unwrap();
-        assert_eq!((w, h), (3, 2));
-        assert!(back.iter().zip(&pixels).all(|(a, b)| a[..3] == b[..] && a[3] == 1.0));
-    }
-
-    #[test]
-    fn truncated_files_are_reported_as_damaged() {
-        let bytes = encode_rgb(8, 8, &[[0.5; 3]; 64]).unwrap();
-        for cut in [4, 20, bytes.len() / 2, bytes.len() - 1] {
-            assert!(matches!(decode_rgba(&bytes[..cut]), Err(ImageFileError::Damaged(_))), "cut at {cut}");
-        }
-    }
-}
+mod tests;

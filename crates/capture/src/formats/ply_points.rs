@@ -57,6 +57,20 @@ mod tests {
     }
 
     #[test]
+    fn big_endian_files_and_earlier_elements_are_read() {
+        let mut big =
+            b"ply\nformat binary_big_endian 1.0\nelement camera 2\nproperty int i\nelement vertex 1\n\
+            property float x\nproperty double y\nproperty short z\nend_header\n"
+                .to_vec();
+        big.extend([9; 8]);
+        big.extend([&1.5f32.to_be_bytes()[..], &(-2.5f64).to_be_bytes(), &300i16.to_be_bytes()].concat());
+        assert_eq!(read_points(&big, 10).unwrap()[0].0, DVec3::new(1.5, -2.5, 300.0));
+        let earlier = ASCII.replace("element vertex", "element camera 1\nproperty int i\nelement vertex");
+        let earlier = earlier.replace("end_header\n", "end_header\n7\n");
+        assert_eq!(read_points(earlier.as_bytes(), 10), read_points(ASCII.as_bytes(), 10));
+    }
+
+    #[test]
     fn ascii_and_binary_files_give_equal_points() {
         let points = read_points(ASCII.as_bytes(), 10).unwrap();
         assert_eq!(points, read_points(&binary(), 10).unwrap());
@@ -83,12 +97,12 @@ mod tests {
         for (from, to, field) in [
             ("ply", "plx", "header"),
             ("property float z\n", "", "property"),
-            ("format ascii", "format binary_big_endian", "format"),
+            ("format ascii", "format binary_middle_endian", "format"),
             ("float z", "list uchar int z", "property list"),
             ("float z", "quad z", "property z"),
             ("-1 0.5 1e2", "-1 nan 1e2", "vertex 1"),
             ("-1 0.5 1e2 0 0 0", "-1 0.5", "vertex 1"),
-            ("element vertex", "element face 3\nelement vertex", "element"),
+            ("element vertex", "element face 3\nproperty list uchar int i\nelement vertex", "element"),
         ] {
             let error = read_points(ASCII.replace(from, to).as_bytes(), 10).unwrap_err();
             assert_eq!(error.field, field, "{from} -> {to}: {error}");

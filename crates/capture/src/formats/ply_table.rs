@@ -1,11 +1,11 @@
-//! Vertices of PLY files as a table of numbers. Supports ASCII and binary little-endian files without lists in
-//! vertices.
+//! PLY files as tables of numbers: one table for each element, e.g. `vertex`. Supports ASCII and binary files of both
+//! byte orders. Elements with lists can only follow the elements that are read.
 
-/// Errors of reading PLY files.
+/// Errors of reading PLY files and other files of splats.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: {reason}")]
 pub struct PlyError {
-    /// The header line, property or vertex at fault.
+    /// The header line, property, vertex or part of the file at fault.
     pub field: String,
     /// The reason.
     pub reason: String,
@@ -29,6 +29,8 @@ struct Scalar {
     white: f64,
     /// The value in the first `size` bytes, little-endian.
     read: fn(&[u8]) -> Option<f64>,
+    /// The value in the first `size` bytes, big-endian.
+    read_big: fn(&[u8]) -> Option<f64>,
 }
 
 macro_rules! scalar {
@@ -38,10 +40,12 @@ macro_rules! scalar {
             size: size_of::<$type>(),
             white: $white,
             read: |bytes| bytes.first_chunk().map(|b| f64::from(<$type>::from_le_bytes(*b))),
+            read_big: |bytes| bytes.first_chunk().map(|b| f64::from(<$type>::from_be_bytes(*b))),
         }
     };
 }
 
+const FLOAT: Scalar = scalar!("float", "float32", f32, 1.0);
 const SCALARS: [Scalar; 8] = [
     scalar!("char", "int8", i8, 255.0),
     scalar!("uchar", "uint8", u8, 255.0),
@@ -49,16 +53,16 @@ const SCALARS: [Scalar; 8] = [
     scalar!("ushort", "uint16", u16, 255.0),
     scalar!("int", "int32", i32, 255.0),
     scalar!("uint", "uint32", u32, 255.0),
-    scalar!("float", "float32", f32, 1.0),
+    FLOAT,
     scalar!("double", "float64", f64, 1.0),
 ];
 
-/// The vertices of a file.
+/// The rows of an element.
 pub(super) struct PlyTable {
     properties: Vec<(String, Scalar)>,
     /// Complete header lines that begin with `comment `.
     pub(super) comments: Vec<String>,
-    /// Values of all properties, vertex by vertex.
+    /// Values of all properties, row by row.
     numbers: Vec<f64>,
 }
 
@@ -69,13 +73,13 @@ impl PlyTable {
     /// Names the header line or vertex at fault. More than `most` vertices, or more than a binary file's length allows, are
     /// refused before memory is allocated for them.
     pub(super) fn read(bytes: &[u8], most: usize) -> Result<Self, PlyError> {
-        let header = header(bytes)?;
-        if header.vertices > most {
-            return bad("element vertex", format!("{} points, {most} allowed", header.vertices));
-        }
-        let body = &bytes[header.length..];
-        let numbers = if header.binary { binary_rows(body, &header)? } else { ascii_rows(body, &header)? };
-        Ok(Self { properties: header.properties, comments: header.comments, numbers })
+        PlyFile::parse(bytes)?.table("vertex", most)
+    }
+
+    /// A table of floats that another format contains. `numbers` has a value for each name in each row.
+    pub(super) fn of_floats(names: Vec<String>, comments: Vec<String>, numbers: Vec<f64>) -> Self {
+        let properties = names.into_iter().map(|name| (name, FLOAT)).collect();
+        Self { properties, comments, numbers }
     }
 
     /// Index of property `name` in a row.
@@ -83,112 +87,210 @@ impl PlyTable {
         self.properties.iter().position(|(n, _)| n == name)
     }
 
+    /// Names of the properties, in order.
+    pub(super) fn names(&self) -> impl Iterator<Item = &str> {
+        self.properties.iter().map(|(name, _)| name.as_str())
+    }
+
     /// The value of full brightness in a colour of this column.
     pub(super) fn white(&self, column: usize) -> f64 {
         self.properties[column].1.white
     }
 
-    /// The numbers of each vertex.
+    /// The numbers of each row.
     pub(super) fn rows(&self) -> std::slice::ChunksExact<'_, f64> {
         self.numbers.chunks_exact(self.properties.len())
     }
 }
 
-struct PlyHeader {
-    binary: bool,
-    vertices: usize,
+/// How the numbers of a file are written.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Encoding {
+    Ascii,
+    LittleEndian,
+    BigEndian,
+}
+
+struct PlyElement {
+    name: String,
+    count: usize,
     properties: Vec<(String, Scalar)>,
+    /// True if a property is a list, so that the length of a row is unknown.
+    has_lists: bool,
+}
+
+impl PlyElement {
+    /// Bytes of a row in a binary file.
+    fn stride(&self) -> usize {
+        self.properties.iter().map(|(_, scalar)| scalar.size).sum()
+    }
+}
+
+/// A file with its header.
+pub(super) struct PlyFile<'a> {
+    encoding: Encoding,
+    elements: Vec<PlyElement>,
     comments: Vec<String>,
-    /// Length of the header in bytes, including its last newline.
-    length: usize,
+    body: &'a [u8],
 }
 
-fn header(bytes: &[u8]) -> Result<PlyHeader, PlyError> {
-    let window = &bytes[..bytes.len().min(MAX_HEADER)];
-    const END: &[u8] = b"end_header";
-    let end = window.windows(END.len()).position(|w| w == END);
-    let (true, Some(end)) = (bytes.starts_with(b"ply"), end) else {
-        return bad("header", "this is not a PLY file");
-    };
-    let newline = window[end..].iter().position(|&b| b == b'\n');
-    let Some(newline) = newline else { return bad("header", "is truncated") };
-    let text = String::from_utf8_lossy(&window[..end]);
-    let mut out = PlyHeader {
-        binary: false,
-        vertices: 0,
-        properties: Vec::new(),
-        comments: Vec::new(),
-        length: end + newline + 1,
-    };
-    let (mut format_seen, mut element) = (false, None);
-    for line in text.lines().skip(1) {
-        let words: Vec<&str> = line.split_whitespace().collect();
-        match words[..] {
-            ["comment", ..] => out.comments.push(line.to_owned()),
-            ["format", "ascii", _] => format_seen = true,
-            ["format", "binary_little_endian", _] => (format_seen, out.binary) = (true, true),
-            ["format", other, ..] => return bad("format", format!("{other} is not supported")),
-            ["element", name, count] => {
-                if name != "vertex" && element.is_none() {
-                    return bad("element", format!("{name} comes before vertex, which is not supported"));
-                }
-                element = Some(name == "vertex");
-                if name == "vertex" {
-                    let Ok(vertices) = count.parse() else {
-                        return bad("element vertex", format!("{count:?} is not a count"));
-                    };
-                    out.vertices = vertices;
-                }
-            }
-            ["property", "list", ..] if element == Some(true) => {
-                return bad("property list", "is not supported in vertices");
-            }
-            ["property", kind, name] if element == Some(true) => {
-                match SCALARS.iter().find(|s| s.names.contains(&kind)) {
-                    Some(scalar) => out.properties.push((name.to_owned(), *scalar)),
-                    None => return bad(format!("property {name}"), format!("{kind} is not a PLY type")),
-                }
-            }
-            _ => {}
-        }
-    }
-    if !format_seen || out.properties.is_empty() {
-        return bad("header", "has no format or no vertex properties");
-    }
-    Ok(out)
-}
-
-fn binary_rows(body: &[u8], header: &PlyHeader) -> Result<Vec<f64>, PlyError> {
-    let stride: usize = header.properties.iter().map(|(_, s)| s.size).sum();
-    if header.vertices.checked_mul(stride).is_none_or(|need| need > body.len()) {
-        return bad("element vertex", format!("{} points are more than the file contains", header.vertices));
-    }
-    let mut out = Vec::with_capacity(header.vertices * header.properties.len());
-    for row in body.chunks_exact(stride).take(header.vertices) {
-        let mut at = 0;
-        for (_, scalar) in &header.properties {
-            out.extend((scalar.read)(&row[at..]));
-            at += scalar.size;
-        }
-    }
-    Ok(out)
-}
-
-fn ascii_rows(body: &[u8], header: &PlyHeader) -> Result<Vec<f64>, PlyError> {
-    let Ok(text) = std::str::from_utf8(body) else { return bad("body", "is not UTF-8 text") };
-    let mut out = Vec::new();
-    let mut lines = text.lines().filter(|l| !l.trim().is_empty());
-    for i in 0..header.vertices {
-        let Some(line) = lines.next() else {
-            return bad("element vertex", format!("{} points stated, {i} found", header.vertices));
+impl<'a> PlyFile<'a> {
+    /// Reads the header.
+    ///
+    /// # Errors
+    /// Names the header line at fault.
+    pub(super) fn parse(bytes: &'a [u8]) -> Result<Self, PlyError> {
+        let window = &bytes[..bytes.len().min(MAX_HEADER)];
+        const END: &[u8] = b"end_header";
+        let end = window.windows(END.len()).position(|w| w == END);
+        let (true, Some(end)) = (bytes.starts_with(b"ply"), end) else {
+            return bad("header", "this is not a PLY file");
         };
-        let before = out.len();
-        out.extend(
-            line.split_whitespace().map_while(|w| w.parse::<f64>().ok()).take(header.properties.len()),
-        );
-        if out.len() - before != header.properties.len() {
-            return bad(format!("vertex {i}"), "does not have a number for every property");
+        let newline = window[end..].iter().position(|&b| b == b'\n');
+        let Some(newline) = newline else { return bad("header", "is truncated") };
+        let text = String::from_utf8_lossy(&window[..end]);
+        let mut encoding = None;
+        let (mut elements, mut comments): (Vec<PlyElement>, Vec<String>) = (Vec::new(), Vec::new());
+        for line in text.lines().skip(1) {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            match (&words[..], elements.last_mut()) {
+                (["comment", ..], _) => comments.push(line.to_owned()),
+                (["format", name, ..], _) => encoding = Some(format(name)?),
+                (["element", name, count], _) => elements.push(element(name, count)?),
+                (["property", ..], Some(element)) => read_property(&words[1..], element)?,
+                _ => {}
+            }
+        }
+        let has_vertices = elements.iter().any(|e| e.name == "vertex" && !e.properties.is_empty());
+        match encoding {
+            Some(encoding) if has_vertices => {
+                Ok(Self { encoding, elements, comments, body: &bytes[end + newline + 1..] })
+            }
+            _ => bad("header", "has no format or no vertex properties"),
         }
     }
-    Ok(out)
+
+    /// True if the header names an element.
+    pub(super) fn has(&self, element: &str) -> bool {
+        self.elements.iter().any(|e| e.name == element)
+    }
+
+    /// True if an element has a property.
+    pub(super) fn has_property(&self, element: &str, property: &str) -> bool {
+        let properties = self.elements.iter().filter(|e| e.name == element).flat_map(|e| &e.properties);
+        properties.into_iter().any(|(name, _)| name == property)
+    }
+
+    /// The header lines that begin with `comment `.
+    pub(super) fn comments(&self) -> &[String] {
+        &self.comments
+    }
+
+    /// Reads the rows of an element.
+    ///
+    /// # Errors
+    /// Names the header line or row at fault. More than `most` rows, or more than a binary file's length allows, are
+    /// refused before memory is allocated for them.
+    pub(super) fn table(&self, name: &str, most: usize) -> Result<PlyTable, PlyError> {
+        let Some(at) = self.elements.iter().position(|e| e.name == name) else {
+            return bad(format!("element {name}"), "is missing");
+        };
+        let (before, element) = (&self.elements[..at], &self.elements[at]);
+        if let Some(list) = before.iter().find(|e| e.has_lists) {
+            return bad(
+                "element",
+                format!("{} with lists comes before {name}, which is not supported", list.name),
+            );
+        }
+        if element.properties.is_empty() && !element.has_lists {
+            return bad(format!("element {name}"), "has no properties");
+        }
+        if element.has_lists {
+            return bad("property list", format!("is not supported in element {name}"));
+        }
+        if element.count > most {
+            return bad(format!("element {name}"), format!("{} points, {most} allowed", element.count));
+        }
+        let numbers = match self.encoding {
+            Encoding::Ascii => self.ascii_rows(before, element)?,
+            encoding => self.binary_rows(before, element, encoding == Encoding::BigEndian)?,
+        };
+        Ok(PlyTable { properties: element.properties.clone(), comments: self.comments.clone(), numbers })
+    }
+
+    fn binary_rows(
+        &self,
+        before: &[PlyElement],
+        element: &PlyElement,
+        is_big: bool,
+    ) -> Result<Vec<f64>, PlyError> {
+        let bytes = |e: &PlyElement| e.count.checked_mul(e.stride());
+        let start = before.iter().try_fold(0usize, |sum, e| sum.checked_add(bytes(e)?));
+        let body = start.and_then(|start| self.body.get(start..)).unwrap_or_default();
+        if bytes(element).is_none_or(|need| need > body.len()) {
+            let reason = format!("{} points are more than the file contains", element.count);
+            return bad(format!("element {}", element.name), reason);
+        }
+        let mut out = Vec::with_capacity(element.count * element.properties.len());
+        for row in body.chunks_exact(element.stride().max(1)).take(element.count) {
+            let mut at = 0;
+            for (_, scalar) in &element.properties {
+                let read = if is_big { scalar.read_big } else { scalar.read };
+                out.extend(read(&row[at..]));
+                at += scalar.size;
+            }
+        }
+        Ok(out)
+    }
+
+    fn ascii_rows(&self, before: &[PlyElement], element: &PlyElement) -> Result<Vec<f64>, PlyError> {
+        let Ok(text) = std::str::from_utf8(self.body) else { return bad("body", "is not UTF-8 text") };
+        let skipped = before.iter().fold(0usize, |sum, e| sum.saturating_add(e.count));
+        let mut lines = text.lines().filter(|l| !l.trim().is_empty()).skip(skipped);
+        let mut out = Vec::new();
+        for i in 0..element.count {
+            let Some(line) = lines.next() else {
+                let reason = format!("{} points stated, {i} found", element.count);
+                return bad(format!("element {}", element.name), reason);
+            };
+            let before = out.len();
+            let numbers = line.split_whitespace().map_while(|w| w.parse::<f64>().ok());
+            out.extend(numbers.take(element.properties.len()));
+            if out.len() - before != element.properties.len() {
+                return bad(format!("{} {i}", element.name), "does not have a number for every property");
+            }
+        }
+        Ok(out)
+    }
+}
+
+fn format(name: &str) -> Result<Encoding, PlyError> {
+    match name {
+        "ascii" => Ok(Encoding::Ascii),
+        "binary_little_endian" => Ok(Encoding::LittleEndian),
+        "binary_big_endian" => Ok(Encoding::BigEndian),
+        other => bad("format", format!("{other} is not supported")),
+    }
+}
+
+fn element(name: &str, count: &str) -> Result<PlyElement, PlyError> {
+    match count.parse() {
+        Ok(count) => {
+            Ok(PlyElement { name: name.to_owned(), count, properties: Vec::new(), has_lists: false })
+        }
+        Err(_) => bad(format!("element {name}"), format!("{count:?} is not a count")),
+    }
+}
+
+/// Reads the words after `property`.
+fn read_property(words: &[&str], element: &mut PlyElement) -> Result<(), PlyError> {
+    match words {
+        ["list", ..] => element.has_lists = true,
+        [kind, name] => match SCALARS.iter().find(|s| s.names.contains(kind)) {
+            Some(scalar) => element.properties.push(((*name).to_owned(), *scalar)),
+            None => return bad(format!("property {name}"), format!("{kind} is not a PLY type")),
+        },
+        _ => {}
+    }
+    Ok(())
 }

@@ -10,7 +10,7 @@ use relume_scene::{Field, Model, NormalForm, sh_count, srgb};
 /// Highest SH degree of the colour in splat files.
 pub const MAX_SPLAT_SH_DEGREE: usize = 3;
 /// Value of the SH basis function of degree 0.
-const Y_0: f32 = 0.282_094_8;
+pub(super) const Y_0: f32 = 0.282_094_8;
 /// Largest magnitude of the logarithm of a standard deviation, so that the deviation itself is a positive f32.
 const MAX_LOG_SCALE: f32 = 80.0;
 

@@ -1,0 +1,46 @@
+//! The world of an imported model: scale, offset and normals.
+
+use glam::{DVec3, Vec3};
+
+use crate::formats::splats::outward_axis;
+use relume_scene::{Field, Gaussians, Model, NormalForm};
+
+/// Share of the Gaussians that the unit ball of the world contains, for files that do not state the scale of the
+/// world.
+const HELD: f64 = 0.98;
+
+/// Scale and offset of a world around the Gaussians, centred on the median of their centres.
+pub(super) fn around(gaussians: &Gaussians) -> (f64, DVec3) {
+    let centres = || gaussians.field(Field::Mean).as_chunks::<3>().0.iter();
+    let at_share = |mut values: Vec<f64>, share: f64| {
+        values.sort_by(f64::total_cmp);
+        values.get(((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1))).copied()
+    };
+    let median = |axis: usize| at_share(centres().map(|c| f64::from(c[axis])).collect(), 0.5).unwrap_or(0.0);
+    let centre = DVec3::new(median(0), median(1), median(2));
+    let distance = |c: &[f32; 3]| (DVec3::from(c.map(f64::from)) - centre).length();
+    let radius = at_share(centres().map(distance).collect(), HELD).filter(|r| *r > 0.0);
+    (1.0 / radius.unwrap_or(1.0), -centre)
+}
+
+/// Converts the Gaussians from capture units to the world of `model`.
+pub(super) fn into_world(model: &mut Model) {
+    let (scale, offset) = (model.world_scale, model.world_offset);
+    for centre in model.gaussians.field_mut(Field::Mean).as_chunks_mut::<3>().0 {
+        *centre = ((DVec3::from(centre.map(f64::from)) + offset) * scale).as_vec3().to_array();
+    }
+    let grow = scale.ln() as f32;
+    model.gaussians.field_mut(Field::LogScale).iter_mut().for_each(|s| *s += grow);
+}
+
+/// Sets the normal field so that the shading normal, seen from outside, is `unit`. A vector that is not finite counts as
+/// zero.
+pub(super) fn set_normal(model: &mut Model, i: usize, unit: [f32; 3]) {
+    let unit = Vec3::from(unit).normalize_or_zero();
+    let own = match model.shading.normal {
+        NormalForm::Free => unit,
+        NormalForm::ShortestAxis if unit == Vec3::ZERO => Vec3::ZERO,
+        NormalForm::ShortestAxis => unit - outward_axis(model, i),
+    };
+    model.gaussians.row_mut(Field::Normal, i).copy_from_slice(&own.to_array());
+}
