@@ -61,16 +61,16 @@ async fn list_photographs(
     State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<CaptureId>,
-    QueryString(CamerasQuery { convention }): QueryString<CamerasQuery>,
+    QueryString(CamerasQuery { convention, up }): QueryString<CamerasQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let capture = find(&app, &caller, &id).await?;
-    let tag = etag(&digest(&capture, &format!("photographs|{convention:?}")));
+    let tag = etag(&digest(&capture, &format!("photographs|{convention:?}|{up:?}")));
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
     } else {
         let opened = open(&app, &caller, &capture).await?;
-        let read = move || opened.photographs.cameras();
+        let read = move || opened.photographs.cameras(up);
         let taken = app.decoders.run(read).await?.map_err(|error| unreadable(&error))?;
         let photograph = |camera| {
             let taken = cameras::view(camera, convention);

@@ -15,7 +15,7 @@ use relume_api::renders::RenderRequest;
 use relume_api::uploads::CaptureSource;
 use relume_api::webhooks::{NewWebhook, WebhookChange};
 use relume_api::{Problem, TenantId};
-use relume_capture::formats::{environment, exr_image, image_file, model_file, ply_points};
+use relume_capture::formats::{environment, exr_image, image_file, model_file, ply_points, splat_import};
 use relume_capture::{ImportLimits, ImportOptions};
 use relume_fixtures::cases_or;
 use relume_spec::training::TrainConfig;
@@ -103,6 +103,11 @@ fn mutated_models_cause_no_panic() {
 #[test]
 fn mutated_point_clouds_cause_no_panic() {
     fuzz("point-clouds", &seeds::clouds(), |bytes| drop(ply_points::read_points(bytes, 1000)));
+}
+
+#[test]
+fn mutated_splat_files_cause_no_panic() {
+    fuzz("splats", &seeds::splats(), |bytes| drop(splat_import::decode(bytes)));
 }
 
 #[test]

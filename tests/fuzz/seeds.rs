@@ -29,11 +29,16 @@ pub fn environments() -> Vec<Vec<u8>> {
     let (map, _) = EnvMap::new(8, 4, texels.clone()).unwrap();
     let mut plain = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nEXPOSURE=1.0\n\n-Y 4 +X 8\n".to_vec();
     plain.extend([128, 128, 128, 129].repeat(32));
+    let mut columns =
+        b"#?RGBE\r\nEXPOSURE=2\r\nCOLORCORR=1 2 1\r\nPRIMARIES=.7 .3 .2 .8 .1 .1 .3 .3\r\n\r\n+X 8 -Y 4\r\n"
+            .to_vec();
+    columns.extend([128, 128, 128, 129].repeat(32));
     vec![
         environment::encode_hdr(&map).unwrap(),
         environment::encode_exr(&map).unwrap(),
         exr_image::encode_rgb(8, 4, &texels).unwrap(),
         plain,
+        columns,
     ]
 }
 
@@ -54,6 +59,25 @@ pub fn clouds() -> Vec<Vec<u8>> {
     binary.extend(b"end_header\n");
     binary.extend([1u8; 38]);
     vec![text.as_bytes().to_vec(), binary, ply_model::encode(&model::model(2, 7))]
+}
+
+/// Splats as PLY, `.splat`, SPZ of version 3 and compressed PLY.
+pub fn splats() -> Vec<Vec<u8>> {
+    let mut record: Vec<u8> =
+        [1.0f32, 2.0, 3.0, 0.1, 0.2, 0.3].iter().flat_map(|v| v.to_le_bytes()).collect();
+    record.extend([255, 128, 0, 200, 255, 128, 128, 128]);
+    let mut spz = b"NGSP\x03\0\0\0\x02\0\0\0\x01\x0c\0\0".to_vec();
+    spz.extend((0..2 * (9 + 1 + 3 + 3 + 4 + 9)).map(|i| (i * 37) as u8));
+    let mut compressed = String::from("ply\nformat binary_little_endian 1.0\nelement chunk 1\n");
+    for name in ["x", "y", "z", "scale_x", "scale_y", "scale_z"] {
+        compressed += &format!("property float min_{name}\nproperty float max_{name}\n");
+    }
+    compressed += "element vertex 2\nproperty uint packed_position\nproperty uint packed_rotation\n";
+    compressed += "property uint packed_scale\nproperty uint packed_color\nend_header\n";
+    let mut compressed = compressed.into_bytes();
+    (0..6).flat_map(|_| [-1.0f32, 1.0]).for_each(|v| compressed.extend(v.to_le_bytes()));
+    compressed.extend((0..32).map(|i| (i * 53) as u8));
+    vec![ply_model::encode(&model::model(2, 7)), record.repeat(3), spz, compressed]
 }
 
 /// Captures in every layout, as files, because some archive formats have checksums that changed files would

@@ -1,8 +1,10 @@
 //! Finds which layout a capture has, and where.
 
+use std::path::Path;
+
 use crate::colmap::{self, ModelFiles};
 use crate::polycam::{self, PolycamFolders};
-use crate::{CaptureError, CaptureFiles, blender, llff, nerfstudio};
+use crate::{CaptureError, CaptureFiles, ImportLimits, blender, llff, nerfstudio};
 
 /// A layout that was found, with the path of the file that marks it.
 pub(super) enum FoundLayout {
@@ -49,6 +51,14 @@ pub(super) fn find(source: &CaptureFiles) -> Result<Option<FoundLayout>, Capture
 /// Whether a layout is present, valid or not.
 pub(super) fn is_present(source: &CaptureFiles) -> bool {
     !matches!(find(source), Ok(None))
+}
+
+/// Whether a folder, zip, tar or tar.gz has a layout with poses, valid or not.
+///
+/// # Errors
+/// [`CaptureError`] when it cannot be opened or is over a limit.
+pub fn has_poses(path: &Path, limits: &ImportLimits) -> Result<bool, CaptureError> {
+    Ok(is_present(&CaptureFiles::open(path, limits)?))
 }
 
 /// The only file of a name in any folder.

@@ -51,6 +51,7 @@ pub use capture_files::CaptureFiles;
 pub use distortion::Distortion;
 pub use error::CaptureError;
 pub use import::{UndecodedCapture, import, inspect};
+pub use layout::has_poses;
 pub use lens::{Intrinsics, Lens};
 pub use lights::{BUILTIN, builtin};
 pub use options::{ImportLimits, ImportOptions};

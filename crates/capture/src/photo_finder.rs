@@ -9,7 +9,7 @@ use crate::error::name_list;
 use crate::{CaptureError, CaptureFiles, masks};
 
 /// Least number of photographs in a capture.
-const MIN_IMAGES: usize = 3;
+pub(super) const MIN_IMAGES: usize = 3;
 /// Endings that names of photographs omit. The last two add the name of a light.
 const OMITTED: [&str; 9] =
     [".png", ".jpg", ".jpeg", ".webp", ".exr", ".JPG", ".PNG", "_sunset.png", "_sunset_000.png"];

@@ -49,8 +49,12 @@ impl CapturePhotos {
     ///
     /// # Errors
     /// [`CaptureError`] names the file and field at fault.
-    pub fn cameras(&self) -> Result<Vec<PhotoCamera>, CaptureError> {
-        cameras::of_photos(&self.source, &self.photos)
+    pub fn cameras(&self, up: UpAxis) -> Result<Vec<PhotoCamera>, CaptureError> {
+        if up == UpAxis::Auto {
+            return cameras::of_photos(&self.source, &self.photos);
+        }
+        let (_, photos, _) = import::read_layout(&self.source, up, &mut Vec::new())?;
+        cameras::of_photos(&self.source, &photos)
     }
 
     /// Whether `name` is a photograph of the capture. Other files of the archive are not photographs.

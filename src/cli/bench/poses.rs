@@ -10,6 +10,7 @@ use crate::cli::error::CommandResult;
 use relume_capture::poses::{PoseOptions, RunControl, find_poses};
 use relume_capture::{ImportLimits, PhotoCamera, PhotosWithoutPoses, cameras};
 use relume_scene::Camera;
+use relume_spec::training::UpAxis;
 use relume_train::eval::PoseErrors;
 
 /// Options of `relume bench poses`.
@@ -35,7 +36,7 @@ pub(super) fn run(args: &BenchPosesArgs) -> CommandResult {
     );
     for path in &args.captures {
         let stated: BTreeMap<String, Camera> =
-            cameras(path, &ImportLimits::default())?.into_iter().map(named).collect();
+            cameras(path, &ImportLimits::default(), UpAxis::Auto)?.into_iter().map(named).collect();
         let none = || format!("{}: contains no photographs", path.display());
         let photographs =
             PhotosWithoutPoses::ignoring_poses(path, &ImportLimits::default())?.ok_or_else(none)?;
@@ -47,7 +48,7 @@ pub(super) fn run(args: &BenchPosesArgs) -> CommandResult {
         let into = folder.path().join("capture");
         find_poses(&photographs, &into, &PoseOptions::default(), &mut run_control)?;
         let seconds = started.elapsed().as_secs();
-        let found = cameras(&into, &ImportLimits::default())?.into_iter().map(named);
+        let found = cameras(&into, &ImportLimits::default(), UpAxis::Auto)?.into_iter().map(named);
         let (found, truth): (Vec<Camera>, Vec<Camera>) =
             found.filter_map(|(name, camera)| Some((camera, *stated.get(&name)?))).unzip();
         let few = || format!("{}: fewer than three poses to compare", path.display());

@@ -4,10 +4,15 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
+use crate::cli::args::named;
+use crate::cli::capture::rig_svg::rig_svg;
 use crate::cli::error::CommandResult;
+use crate::cli::output::write_named;
 use relume_capture::check::{PhotoStats, PhotographsReport, check_photographs};
 use relume_capture::poses::{ClipOptions, RunControl, frames_of_clip, is_clip};
-use relume_capture::{ImportLimits, PhotosWithoutPoses};
+use relume_capture::{ImportLimits, ImportOptions, PhotosWithoutPoses, UndecodedCapture, has_poses, inspect};
+use relume_spec::CaptureReport;
+use relume_spec::training::UpAxis;
 
 /// Time limit of the extraction of frames from a clip.
 const CLIP_TIME: Duration = Duration::from_secs(3600);
@@ -22,6 +27,12 @@ pub(super) struct CheckArgs {
     /// Print a line for each photograph.
     #[arg(long)]
     each: bool,
+    /// Direction in the files of a capture with poses that is up: `auto`, `x`, `y`, `z`, `-x`, `-y` or `-z`.
+    #[arg(long, default_value = "auto", value_parser = named::<UpAxis>, allow_hyphen_values = true)]
+    up: UpAxis,
+    /// Write a picture of the cameras and the sparse points, from above and from the side, as SVG to this file.
+    #[arg(long, value_name = "FILE.svg")]
+    sheet: Option<PathBuf>,
 }
 
 pub(super) fn run(args: &CheckArgs) -> CommandResult<ExitCode> {
@@ -32,13 +43,64 @@ pub(super) fn run(args: &CheckArgs) -> CommandResult<ExitCode> {
     } else {
         args.photographs.clone()
     };
-    let photographs =
-        PhotosWithoutPoses::ignoring_poses(&path, &ImportLimits::default())?.ok_or_else(none)?;
-    let report = check_photographs(&photographs);
-    for line in lines(&report, args.each) {
-        println!("{line}");
+    let limits = ImportLimits::default();
+    let is_sound = if has_poses(&path, &limits)? {
+        check_capture(&path, args)?
+    } else if args.sheet.is_some() {
+        return Err(format!("{}: has no poses, so --sheet has no cameras to show", args.photographs.display()).into());
+    } else {
+        let photographs = PhotosWithoutPoses::open(&path, &limits)?.ok_or_else(none)?;
+        let report = check_photographs(&photographs);
+        lines(&report, args.each).iter().for_each(|line| println!("{line}"));
+        !report.has_problems()
+    };
+    println!("{}", if is_sound { "suitable for training" } else { "not suitable for training" });
+    Ok(if is_sound { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Imports a capture with poses as a training does, and prints what the import found. Returns whether it can be trained on.
+fn check_capture(path: &Path, args: &CheckArgs) -> CommandResult<bool> {
+    let options = ImportOptions { up: args.up, ..ImportOptions::default() };
+    let report = match inspect(path, &options) {
+        Ok(report) => report,
+        Err(error) => {
+            println!("problem: {error}");
+            return Ok(false);
+        }
+    };
+    if args.each {
+        let photographs = PhotosWithoutPoses::ignoring_poses(path, &options.limits)?;
+        let looked = photographs.as_ref().map(check_photographs);
+        looked.iter().flat_map(each_line).for_each(|line| println!("{line}"));
     }
-    Ok(if report.has_problems() { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+    capture_lines(&report).iter().for_each(|line| println!("{line}"));
+    if let Some(file) = &args.sheet {
+        let capture = UndecodedCapture::open(path, &options)?;
+        let points: Vec<_> = capture.points().collect();
+        write_named(file, rig_svg(&capture.cameras()?, &points, &report).as_bytes())?;
+    }
+    Ok(true)
+}
+
+/// The findings about a capture with poses, a line each.
+fn capture_lines(report: &CaptureReport) -> Vec<String> {
+    let mut lines = vec![
+        format!(
+            "{}: {} photographs to train on, {} held out, {} x {} pixels{}",
+            report.layout,
+            report.train_images,
+            report.test_images,
+            report.width,
+            report.height,
+            if report.has_alpha { ", with masks" } else { "" }
+        ),
+        format!("{} sparse points; the region of interest has a radius of {:.3} units", report.points, report.radius),
+    ];
+    lines.extend(report.warnings.iter().map(|warning| format!("warning: {warning}")));
+    for note in &report.notes {
+        lines.extend(finding_lines("hint", &note.text, &note.photographs));
+    }
+    lines
 }
 
 /// Extracts the frames that a training on the clip uses into a folder in `scratch`.
@@ -50,17 +112,20 @@ fn extract_frames(clip: &Path, scratch: &Path) -> CommandResult<PathBuf> {
     Ok(frames)
 }
 
+/// A table with a line for each photograph.
+fn each_line(report: &PhotographsReport) -> Vec<String> {
+    let title = "photograph  size  sharpness  brightness  clipped  similarity to the nearest".to_owned();
+    std::iter::once(title).chain(report.photos.iter().map(line)).collect()
+}
+
+/// The findings about photographs without poses, a line each.
 fn lines(report: &PhotographsReport, each: bool) -> Vec<String> {
-    let mut lines = Vec::new();
-    if each {
-        lines.push("photograph  size  sharpness  brightness  clipped  similarity to the nearest".to_owned());
-        lines.extend(report.photos.iter().map(line));
-    }
+    let mut lines = if each { each_line(report) } else { Vec::new() };
     let range = |of: fn(&PhotoStats) -> f64| {
         let values = || report.photos.iter().map(of);
         (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
     };
-    lines.push(format!("{} photographs", report.photos.len()));
+    lines.push(format!("{} photographs without poses", report.photos.len()));
     if !report.photos.is_empty() {
         let (sharpness, brightness, overlap) =
             (range(|p| p.sharpness), range(|p| p.brightness), range(|p| p.overlap));
@@ -76,17 +141,20 @@ fn lines(report: &PhotographsReport, each: bool) -> Vec<String> {
     }
     for finding in &report.findings {
         let kind = if finding.is_problem { "problem" } else { "hint" };
-        lines.push(format!("{kind}: {}", finding.text));
-        if !finding.photos.is_empty() {
-            let shown = finding.photos.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
-            let more = finding.photos.len().saturating_sub(SHOWN);
-            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-            lines.push(format!("    {shown}{more}"));
-        }
+        lines.extend(finding_lines(kind, &finding.text, &finding.photos));
     }
-    let conclusion =
-        if report.has_problems() { "not suitable for training" } else { "suitable for training" };
-    lines.push(conclusion.to_owned());
+    lines
+}
+
+/// A finding, and a line with the photographs that it concerns.
+fn finding_lines(kind: &str, text: &str, photos: &[String]) -> Vec<String> {
+    let mut lines = vec![format!("{kind}: {text}")];
+    if !photos.is_empty() {
+        let shown = photos.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+        let more = photos.len().saturating_sub(SHOWN);
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        lines.push(format!("    {shown}{more}"));
+    }
     lines
 }
 

@@ -83,6 +83,10 @@ class Frame(Mapping[str, Plane]):
             if all(name in channels for name in names):
                 found = [channels[name] for name in names]
                 planes[output] = found[0] if len(found) == 1 else np.stack(found, axis=-1)
+        if "depth" in planes:
+            # Files have 0 where nothing is.
+            depth = planes["depth"]
+            planes["depth"] = np.where(depth > 0, depth, np.float32(np.inf)).astype(np.float32)
         alpha = channels.get("A", channels.get("alpha.Y"))
         if alpha is not None:
             planes["alpha"] = alpha

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::photo::PhotoStats;
 use crate::IgnoredFile;
 use crate::formats::ColourConversion;
-use crate::photos::MIN_IMAGES;
+use crate::photo_finder::MIN_IMAGES;
 
 /// Numbers of photographs below which a set is too small, or small.
 const TOO_FEW: usize = 12;

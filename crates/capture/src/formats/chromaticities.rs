@@ -112,7 +112,7 @@ mod tests {
     fn off(conversion: &ToRec709, rows: [[f64; 3]; 3]) -> f64 {
         let columns = DMat3::from_cols_array_2d(&rows).transpose();
         let differences = (conversion.matrix - columns).to_cols_array();
-        worst(differences.map(|d| d.abs() as f32)).into()
+        worst(differences.map(f64::abs))
     }
 
     /// Published by the Academy (ACES 1.3, AP1 to Rec.709 with Bradford's adaptation) and in ITU-R BT.2087-0.

@@ -207,6 +207,9 @@ pub fn encode_exr(map: &EnvMap) -> Result<Vec<u8>, EnvironmentFileError> {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+    use relume_fixtures::cases_or;
+
     use super::*;
 
     fn example() -> EnvMap {
@@ -310,5 +313,33 @@ mod tests {
         assert_eq!(lights(&at(12)), [false, false, true], "a quarter from the right");
         let turned = at(8).rotated_and_scaled(90.0, 1.0);
         assert_eq!(lights(&turned), [false, true, false], "a rotation of 90 degrees moves +X to +Y");
+    }
+
+    fn seeds() -> Vec<Vec<u8>> {
+        let mut columns =
+            b"#?RGBE\r\nEXPOSURE=2\r\nPRIMARIES=.7 .3 .2 .8 .1 .1 .3 .3\r\n\r\n+X 16 -Y 8\r\n".to_vec();
+        columns.extend([128, 64, 32, 129].repeat(128));
+        vec![encode_exr(&example()).unwrap(), encode_hdr(&example()).unwrap(), columns]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: cases_or(300), failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn changed_environment_files_cause_no_panic(
+            which in 0usize..3,
+            changes in prop::collection::vec((any::<usize>(), any::<u8>()), 1..8),
+        ) {
+            let mut bytes = seeds()[which].clone();
+            for (at, value) in changes {
+                // Most changes are in the header.
+                let near = if at % 2 == 0 { bytes.len().min(400) } else { bytes.len() };
+                bytes[at / 2 % near] = value;
+            }
+            // As in the server, files that would take too much memory are not decoded.
+            if decoding_bytes(&bytes).is_ok_and(|count| count < 1 << 24) {
+                let _ = decode(&bytes);
+            }
+        }
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! Colour parts name their colour space in the string attribute `colorInteropID`. Chromaticities are written unless
 //! they are those of Rec.709, which a reader assumes by default. Measurements are in a part tagged `data`, so that no
-//! tool applies colour management to a normal (ASWF Color Interop Forum, July 2026).
+//! tool applies colour management to a normal (ASWF Color Interop Forum, July 2026). The depth `Z` of pixels without a
+//! surface is 0: infinity becomes NaN in the filters of compositors.
 
 use std::io::Cursor;
 
@@ -21,7 +22,8 @@ use relume_spec::rendering::Primaries;
 /// Interleaved values that become the channels `name.SUFFIX`, or bare suffixes if the name is empty.
 #[derive(Debug, Clone, Copy)]
 pub struct FrameLayer<'a> {
-    /// E.g. `albedo`, `N`; empty for the main image (`R G B A`) and for depth (`Z`).
+    /// E.g. `albedo`, `N`; empty for the main image (`R G B A`) and for depth (`Z`), whose values that are not finite are
+    /// written as 0.
     pub name: &'a str,
     /// One letter per channel, e.g. `RGBA`, `XYZ`, `Y`.
     pub suffixes: &'a str,
@@ -129,6 +131,8 @@ struct ExrChannel<'a> {
     first: usize,
     step: usize,
     depth: ColourDepth,
+    /// True for distances from the camera, which are 0 where nothing is.
+    is_distance: bool,
 }
 
 impl ExrChannel<'_> {
@@ -146,9 +150,13 @@ impl ExrPart<'_> {
     fn block(&self, index: BlockIndex) -> UncompressedBlock {
         let width = self.header.layer_size.width();
         UncompressedBlock::from_lines(&self.header.channels, index, |line| {
-            let ExrChannel { values, first, step, depth, .. } = self.channels[line.location.channel];
+            let ExrChannel { values, first, step, depth, is_distance, .. } =
+                self.channels[line.location.channel];
             let start = line.location.position.y() * width + line.location.position.x();
-            let value = |x: usize| values[first + (start + x) * step];
+            let value = |x: usize| {
+                let value = values[first + (start + x) * step];
+                if is_distance && !value.is_finite() { 0.0 } else { value }
+            };
             // Writing to a line in memory cannot fail.
             let _ = match depth {
                 ColourDepth::Half => {
@@ -180,7 +188,8 @@ fn part<'a>(
         }
         for (first, suffix) in layer.suffixes.chars().enumerate() {
             let name = text(&channel_name(layer.name, suffix))?;
-            channels.push(ExrChannel { name, values: layer.values, first, step, depth });
+            let is_distance = layer.name.is_empty() && suffix == 'Z';
+            channels.push(ExrChannel { name, values: layer.values, first, step, depth, is_distance });
         }
     }
     // The channel order that the format requires.
@@ -334,7 +343,7 @@ mod tests {
             for (i, red) in values(0, 3).into_iter().enumerate() {
                 assert!((red - i as f32).abs() <= tolerance * red.max(1.0), "{depth:?} {i} {red}");
             }
-            assert_eq!(values(1, 3), [1.5, 2.5, f32::INFINITY, 0.1, 7.0, 1e6], "depth stays f32");
+            assert_eq!(values(1, 3), [1.5, 2.5, 0.0, 0.1, 7.0, 1e6], "depth stays f32, and nothing is 0");
         }
     }
 

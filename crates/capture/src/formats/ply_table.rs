@@ -1,6 +1,8 @@
 //! PLY files as tables of numbers: one table for each element, e.g. `vertex`. Supports ASCII and binary files of both
 //! byte orders. Elements with lists can only follow the elements that are read.
 
+use crate::formats::recognise_foreign;
+
 /// Errors of reading PLY files and other files of splats.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: {reason}")]
@@ -144,7 +146,7 @@ impl<'a> PlyFile<'a> {
         const END: &[u8] = b"end_header";
         let end = window.windows(END.len()).position(|w| w == END);
         let (true, Some(end)) = (bytes.starts_with(b"ply"), end) else {
-            return bad("header", "this is not a PLY file");
+            return bad("header", recognise_foreign(bytes).unwrap_or("this is not a PLY file"));
         };
         let newline = window[end..].iter().position(|&b| b == b'\n');
         let Some(newline) = newline else { return bad("header", "is truncated") };

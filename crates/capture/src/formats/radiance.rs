@@ -248,7 +248,9 @@ fn unsupported(line: &str, reason: &str) -> ImageFileError {
 }
 
 fn damaged(error: image::ImageError) -> ImageFileError {
-    ImageFileError::Damaged(error.to_string())
+    let is_end =
+        matches!(&error, image::ImageError::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof);
+    ImageFileError::Damaged(if is_end { "its pixels are truncated".to_owned() } else { error.to_string() })
 }
 
 #[cfg(test)]

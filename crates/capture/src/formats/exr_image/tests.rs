@@ -126,6 +126,23 @@ fn huge_display_windows_are_refused_before_allocation() {
 }
 
 #[test]
+fn subsampled_chroma_is_refused_by_name() {
+    let channels = [("BY", 0.0), ("RY", 0.0), ("Y", 0.5)];
+    let mut bytes = Example { channels: &channels, ..Example::default() }.bytes();
+    assert!(decode(&bytes).unwrap_err().to_string().contains("luminance and chroma"));
+    for name in [b"BY\0", b"RY\0"] {
+        let at = bytes.windows(3).position(|w| w == name).unwrap();
+        // After the name: type, linearity, and the sampling of x and y.
+        (bytes[at + 11], bytes[at + 15]) = (2, 2);
+    }
+    assert!(decode(&bytes).unwrap_err().to_string().contains("luminance and chroma"));
+    let mut depth = Example { channels: &[("R", 0.5), ("Z", 1.0)], ..Example::default() }.bytes();
+    let at = depth.windows(3).position(|w| w == b"Z\0\x02").unwrap();
+    (depth[at + 10], depth[at + 14]) = (2, 2);
+    assert!(decode(&depth).is_err());
+}
+
+#[test]
 fn layout_of_environment_maps_is_read() {
     let cube = Example { environment: Some(EnvironmentMap::Cube), ..Example::default() };
     assert_eq!(decode(&cube.bytes()).unwrap().environment, Some(EnvironmentMap::Cube));

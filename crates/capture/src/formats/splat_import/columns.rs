@@ -140,7 +140,7 @@ impl ColourColumns {
         let Some(degree) = degree else {
             return bad(
                 "property f_rest_*",
-                format!("{} coefficients match no SH degree from 0 to 3", rest.len()),
+                format!("{} coefficients match no SH degree from 0 to 3 (0, 9, 24 or 45)", rest.len()),
             );
         };
         let first = named(table, ["f_dc_0", "f_dc_1", "f_dc_2"])?;

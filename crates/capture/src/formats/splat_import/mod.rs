@@ -1,7 +1,7 @@
 //! Imports models from files of splats: Relume's own PLY files, whose columns are recognised with or without their
 //! comments, and ordinary splat files (PLY, compressed PLY, SPZ, `.splat`), which have colour but no materials.
 //!
-//! Each format becomes the table of an ordinary PLY ([`kinds`]), from which [`columns`] reads the Gaussians.
+//! Each format becomes the table of an ordinary PLY (`kinds`), from which `columns` reads the Gaussians.
 
 mod columns;
 mod compressed_ply;
