@@ -5,6 +5,7 @@
 
 mod architecture;
 mod backup;
+mod capture_check;
 mod crash;
 mod deletion;
 mod doctor;

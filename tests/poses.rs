@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use relume_capture::poses::{PoseError, PoseOptions, PoseStage, RunControl, find_poses};
 use relume_capture::{ImportLimits, ImportOptions, PhotosWithoutPoses, cameras, import};
+use relume_spec::training::UpAxis;
 use relume_train::eval::PoseErrors;
 use tempfile::TempDir;
 
@@ -226,7 +227,7 @@ fn capture_check_exit_code_reports_photograph_problems() {
     let few = place.relume(&["capture", "check", "photos", "--each"], true);
     let told = String::from_utf8_lossy(&few.stdout);
     assert_eq!(few.status.code(), Some(1));
-    assert!(told.contains("problem: 8 photographs are too few") && told.contains("3.png  8x6"), "{told}");
+    assert!(told.contains("problem: too few photographs (8)") && told.contains("3.png  8x6"), "{told}");
     for i in 0..40 {
         let noise = |p: usize| [((p * p * 7 + p * 13) % 251) as u8; 3];
         let pixels: Vec<[u8; 3]> = (0..64 * 48).map(|p| noise(p + i / 2)).collect();
@@ -263,7 +264,7 @@ fn colmap_finds_the_poses_of_phone_photographs() {
     let poses = find_poses(&photographs, into, &PoseOptions::default(), &mut run_control).unwrap();
     assert!(poses.unregistered.len() <= 2, "{:?}", poses.unregistered);
     let named = |path: &Path| {
-        let list = cameras(path, &ImportLimits::default()).unwrap().into_iter();
+        let list = cameras(path, &ImportLimits::default(), UpAxis::Auto).unwrap().into_iter();
         list.map(|photo| (photo.name.rsplit('/').next().unwrap().to_owned(), photo.camera))
             .collect::<std::collections::BTreeMap<_, _>>()
     };

@@ -17,6 +17,7 @@ use relume_api::captures::{CaptureState, CaptureSummary, PosesStage};
 use relume_api::jobs::NewJob;
 use relume_capture::{ImportLimits, cameras};
 use relume_client::Client;
+use relume_spec::training::UpAxis;
 use relume_train::eval::PoseErrors;
 use reqwest::Method;
 use reqwest::multipart::{Form, Part};
@@ -384,7 +385,7 @@ async fn colmap_finds_the_poses_of_phone_photographs_over_http() {
     let listed = client.capture_cameras(&made.id, CameraConvention::Opengl).await.unwrap().cameras;
     assert!(listed.len() + 2 >= sent.len(), "{} of {}", listed.len(), sent.len());
     let bare = |name: &str| name.rsplit('/').next().unwrap().to_owned();
-    let stated: std::collections::BTreeMap<_, _> = cameras(&capture, &ImportLimits::default())
+    let stated: std::collections::BTreeMap<_, _> = cameras(&capture, &ImportLimits::default(), UpAxis::Auto)
         .unwrap()
         .into_iter()
         .map(|c| (bare(&c.name), c.camera))

@@ -18,7 +18,7 @@ use relume_api::{Problem, TenantId};
 use relume_capture::formats::{environment, exr_image, image_file, model_file, ply_points, splat_import};
 use relume_capture::{ImportLimits, ImportOptions};
 use relume_fixtures::cases_or;
-use relume_spec::training::TrainConfig;
+use relume_spec::training::{TrainConfig, UpAxis};
 use reqwest::{Method, header};
 use tempfile::NamedTempFile;
 
@@ -140,7 +140,7 @@ fn read_archive(bytes: &[u8]) {
     (limits.max_total_bytes, limits.max_image_pixels) = (1 << 22, 1 << 16);
     let options = ImportOptions { limits, ..ImportOptions::default() };
     let _ = relume_capture::import(file.path(), &options);
-    let _ = relume_capture::cameras(file.path(), &limits);
+    let _ = relume_capture::cameras(file.path(), &limits, UpAxis::Auto);
 }
 
 fn pack(files: &Files, random: &mut ChaCha8Rng) -> Vec<u8> {

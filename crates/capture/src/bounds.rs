@@ -7,6 +7,9 @@ use relume_scene::{Camera, Framing};
 
 /// Radius of the object relative to the ball that a camera sees completely.
 const CORNER_MARGIN: f64 = 1.15;
+/// Size of a room relative to the distance of the cameras from their middle, for cameras that look outwards. People turn round on
+/// the spot with an arm's length of movement; a room is several metres wide.
+const ROOM: f64 = 10.0;
 
 /// The region of interest.
 ///
@@ -16,7 +19,7 @@ const CORNER_MARGIN: f64 = 1.15;
 ///   that the median camera just sees completely, times [`CORNER_MARGIN`], since tightly framed objects reach into
 ///   the image's corners. For NeRF-synthetic this gives the origin and radius 1.57.
 /// - Without points and masks: the same centre. The radius is the distance of the median camera, since the
-///   photographs also show the surroundings.
+///   photographs also show the surroundings; [`ROOM`] times that if most cameras look outwards.
 pub(super) fn bounds(views: &[CaptureView], points: &[(DVec3, [f32; 3])], has_alpha: bool) -> SceneBounds {
     let cameras: Vec<&Camera> = views.iter().map(|v| &v.camera).collect();
     if points.len() >= 16 {
@@ -27,7 +30,10 @@ pub(super) fn bounds(views: &[CaptureView], points: &[(DVec3, [f32; 3])], has_al
         let distance = (camera.centre() - centre).length();
         if has_alpha { seen_radius(camera, centre).map_or(distance, |r| r * CORNER_MARGIN) } else { distance }
     };
-    let radius = quantile(cameras.iter().map(radius).collect(), 0.5);
+    let looks_inwards = |camera: &&&Camera| camera.forward().dot(centre - camera.centre()) > 0.0;
+    let is_room = !has_alpha && 2 * cameras.iter().filter(looks_inwards).count() < cameras.len();
+    let scale = if is_room { ROOM } else { 1.0 };
+    let radius = scale * quantile(cameras.iter().map(radius).collect(), 0.5);
     SceneBounds { centre, radius: positive(radius) }
 }
 
@@ -154,6 +160,20 @@ mod tests {
         let whole = 4.031 * (0.5f64 * 0.691_111_2).sin();
         assert!((b.radius - CORNER_MARGIN * whole).abs() < 1e-9, "{}", b.radius);
         assert!((bounds(&ring(centre, 4.031), &[], false).radius - 4.031).abs() < 1e-9);
+    }
+
+    #[test]
+    fn cameras_that_look_outwards_are_in_a_room() {
+        let inwards = ring(DVec3::ZERO, 0.2);
+        assert!((bounds(&inwards, &[], false).radius - 0.2).abs() < 1e-9, "the control");
+        let mut outwards = inwards;
+        for camera in outwards.iter_mut().map(|view| &mut view.camera) {
+            let eye = camera.centre();
+            // Half a turn about the camera's own vertical axis.
+            camera.rotation = DMat3::from_diagonal(DVec3::new(-1.0, 1.0, -1.0)) * camera.rotation;
+            camera.translation = -(camera.rotation * eye);
+        }
+        assert!((bounds(&outwards, &[], false).radius - 2.0).abs() < 1e-9);
     }
 
     #[test]

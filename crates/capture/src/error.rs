@@ -74,7 +74,7 @@ pub enum CaptureError {
         reason: String,
     },
     /// There are too few photographs to train on.
-    #[error("{file}: {usable} usable images, at least {required} are needed{}", missing_note(.missing))]
+    #[error("{file}: usable photographs: {usable}; at least {required} are needed{}", missing_note(.missing))]
     TooFewImages {
         /// The file that lists the images.
         file: String,

@@ -11,7 +11,7 @@ use crate::layout::{self, FoundLayout};
 use crate::photos::{self, PhotoEntry, Split};
 use crate::{
     Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, PhotoCamera, blender, bounds, cameras,
-    colmap, identical, images, llff, masks, nerfstudio, polycam, rig, truth,
+    colmap, identical, images, llff, masks, nerfstudio, polycam, rig, selection, truth,
 };
 use relume_spec::training::UpAxis;
 use relume_spec::{CaptureReport, PhotographNote};
@@ -180,6 +180,9 @@ fn read_any_layout(
     warnings: &mut Vec<String>,
 ) -> Result<Layout, CaptureError> {
     let Some(found) = layout::find(source)? else {
+        if selection::select(source)?.photos.is_empty() {
+            selection::refuse_raw_files(source)?;
+        }
         let first: Vec<&str> = source.paths().take(5).collect();
         let reason = if first.is_empty() {
             "the capture has no files".to_owned()

@@ -45,6 +45,10 @@ pub(super) fn find(source: &CaptureFiles) -> Result<Option<FoundLayout>, Capture
     if let Some(marker) = other_transforms(source)? {
         return Ok(Some(FoundLayout::Nerfstudio(marker)));
     }
+    if let Some(test) = source.paths().find(|path| path.ends_with("transforms_test.json")) {
+        let reason = format!("is missing beside {test}; the test views alone are not a capture");
+        return Err(CaptureError::File { file: blender::MARKER.to_owned(), reason });
+    }
     Ok(polycam::find(source).map(FoundLayout::Polycam))
 }
 

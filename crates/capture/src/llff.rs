@@ -66,7 +66,9 @@ pub(super) fn read(
 fn images(source: &CaptureFiles, root: &str) -> Vec<String> {
     let is_photo = |path: &&str| {
         let lower = path.to_ascii_lowercase();
-        [".jpg", ".jpeg", ".png"].iter().any(|ending| lower.ends_with(ending))
+        [".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif"]
+            .iter()
+            .any(|ending| lower.ends_with(ending))
     };
     let of = |folder: &&str| {
         let folder = format!("{root}{folder}");

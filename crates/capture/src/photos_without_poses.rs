@@ -49,12 +49,8 @@ impl PhotosWithoutPoses {
 
     fn of(source: CaptureFiles) -> Result<Option<Self>, CaptureError> {
         let Selection { photos: names, ignored } = selection::select(&source)?;
-        let raws = ignored.iter().filter(|file| selection::is_raw(&file.path)).count();
-        if names.is_empty() && raws > 0 {
-            let reason = format!(
-                "contains {raws} raw files of a camera and no photographs; develop the raw files to JPEG, PNG or 16-bit TIFF first"
-            );
-            return Err(CaptureError::File { file: source.label().to_owned(), reason });
+        if names.is_empty() {
+            selection::refuse_raw_files(&source)?;
         }
         let borrowed: Vec<&str> = names.iter().map(String::as_str).collect();
         let masks = masks::assign(&borrowed, source.paths()).masks;

@@ -151,7 +151,7 @@ fn looking_away(photos: &[PhotoEntry]) -> Option<String> {
     (2 * looking < photos.len()).then(|| {
         format!(
             "only {looking} of {} cameras look towards the point at which all look: the poses may be world-to-camera instead of \
-             camera-to-world; for a room that is seen from its inside this is normal",
+             camera-to-world; for a room that is seen from its inside this is normal, and without points its size is a guess",
             photos.len()
         )
     })

@@ -57,6 +57,11 @@ const MAIN_SHARE: f64 = 0.8;
 /// Number of photographs of the main folder whose headers are read for comparison.
 const SAMPLES: usize = 16;
 
+/// Names of files with camera poses by Metashape, RealityScan, Bundler, OpenSfM and Meshroom, which Relume does not read.
+const POSE_FILES: [&str; 5] =
+    ["cameras.xml", "cameras.csv", "bundle.out", "reconstruction.json", "cameras.sfm"];
+
+const HAS_POSES: &str = "has camera poses in a form that Relume does not read; export a COLMAP model or a transforms.json to use them";
 const IS_RAW_COPY: &str = "is a camera raw file beside a photograph of the same name";
 const IS_RAW: &str = "is a camera raw file; develop it to JPEG, PNG or 16-bit TIFF to use it";
 const IS_UNREAD: &str =
@@ -69,7 +74,7 @@ const IS_SMALL_PICTURE: &str = "is a preview outside the folder of the photograp
 const IS_GREY: &str = "is a grey picture outside the folder of the photographs, which have colours";
 const HAS_OTHER_SIZE: &str = "is a picture of another size outside the folder of the photographs";
 
-/// An image file that is not used as a photograph.
+/// A file that is not used: an image that is no photograph, or camera poses of another program.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct IgnoredFile {
     /// Path in the folder or archive.
@@ -83,6 +88,19 @@ pub struct IgnoredFile {
 pub(super) struct Selection {
     pub photos: Vec<String>,
     pub ignored: Vec<IgnoredFile>,
+}
+
+/// # Errors
+/// [`CaptureError::File`] with the remedy if there are raw files of a camera. For files without a photograph.
+pub(super) fn refuse_raw_files(source: &CaptureFiles) -> Result<(), CaptureError> {
+    let raws = source.paths().filter(|path| is_raw(path)).count();
+    if raws == 0 {
+        return Ok(());
+    }
+    let reason = format!(
+        "contains no photographs but raw files of a camera: {raws}; develop them to JPEG, PNG or 16-bit TIFF first"
+    );
+    Err(CaptureError::File { file: source.label().to_owned(), reason })
 }
 
 /// Selects the photographs among all files.
@@ -115,6 +133,7 @@ pub(super) fn select(source: &CaptureFiles) -> Result<Selection, CaptureError> {
             _ if is_raw(path) && keys.contains(&key(path)) => IS_RAW_COPY,
             _ if is_raw(path) => IS_RAW,
             _ if has_ending(path, &UNREAD) => IS_UNREAD,
+            _ if POSE_FILES.contains(&file_name(path).as_str()) => HAS_POSES,
             _ => continue,
         };
         ignored.push(IgnoredFile { path: path.to_owned(), reason });
@@ -131,6 +150,11 @@ pub(super) fn is_raw(path: &str) -> bool {
 fn has_ending(path: &str, endings: &[&str]) -> bool {
     let ending = path.rsplit_once('.').map(|(_, ending)| ending.to_ascii_lowercase());
     ending.is_some_and(|ending| endings.contains(&ending.as_str()))
+}
+
+/// The name of a file without its folders, in lower case.
+fn file_name(path: &str) -> String {
+    path.rsplit('/').next().unwrap_or_default().to_lowercase()
 }
 
 /// A path without its extension, in lower case.
@@ -308,10 +332,16 @@ mod tests {
 
     #[test]
     fn raw_files_and_unread_images_are_named() {
-        let files = ["IMG_1.JPG", "IMG_1.DNG", "IMG_2.CR2", "IMG_3.heic", "old.gif", "notes.txt"];
+        let files =
+            ["IMG_1.JPG", "IMG_1.DNG", "IMG_2.CR2", "IMG_3.heic", "old.gif", "notes.txt", "Cameras.xml"];
         let (photos, ignored) = selected(&files, &[]);
         assert_eq!(photos, ["IMG_1.JPG", "IMG_3.heic"]);
-        let reasons = [("IMG_1.DNG", IS_RAW_COPY), ("IMG_2.CR2", IS_RAW), ("old.gif", IS_UNREAD)];
+        let reasons = [
+            ("Cameras.xml", HAS_POSES),
+            ("IMG_1.DNG", IS_RAW_COPY),
+            ("IMG_2.CR2", IS_RAW),
+            ("old.gif", IS_UNREAD),
+        ];
         assert_eq!(ignored, reasons.map(|(path, reason)| pair(path, reason)));
     }
 

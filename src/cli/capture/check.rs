@@ -47,7 +47,11 @@ pub(super) fn run(args: &CheckArgs) -> CommandResult<ExitCode> {
     let is_sound = if has_poses(&path, &limits)? {
         check_capture(&path, args)?
     } else if args.sheet.is_some() {
-        return Err(format!("{}: has no poses, so --sheet has no cameras to show", args.photographs.display()).into());
+        return Err(format!(
+            "{}: has no poses, so --sheet has no cameras to show",
+            args.photographs.display()
+        )
+        .into());
     } else {
         let photographs = PhotosWithoutPoses::open(&path, &limits)?.ok_or_else(none)?;
         let report = check_photographs(&photographs);
@@ -94,7 +98,10 @@ fn capture_lines(report: &CaptureReport) -> Vec<String> {
             report.height,
             if report.has_alpha { ", with masks" } else { "" }
         ),
-        format!("{} sparse points; the region of interest has a radius of {:.3} units", report.points, report.radius),
+        format!(
+            "{} sparse points; the region of interest has a radius of {:.3} units",
+            report.points, report.radius
+        ),
     ];
     lines.extend(report.warnings.iter().map(|warning| format!("warning: {warning}")));
     for note in &report.notes {

@@ -78,14 +78,7 @@ pub(super) fn rig_svg(cameras: &[PhotoCamera], points: &[DVec3], report: &Captur
 }
 
 impl Panel {
-    fn draw(
-        &self,
-        svg: &mut String,
-        scale: &Scale,
-        cameras: &[PhotoCamera],
-        points: &[DVec3],
-        radius: f64,
-    ) {
+    fn draw(&self, svg: &mut String, scale: &Scale, cameras: &[PhotoCamera], points: &[DVec3], radius: f64) {
         let (left, title) = (self.left, self.title);
         let _ = writeln!(
             svg,
@@ -126,7 +119,8 @@ impl Panel {
         let colour = COLOURS[usize::from(camera.is_held_out)];
         let name = escaped(&camera.name);
         let ahead = |side: f64| {
-            let across = camera.camera.rotation.row(0) * (0.5 * f64::from(camera.camera.width) / camera.camera.fx);
+            let across =
+                camera.camera.rotation.row(0) * (0.5 * f64::from(camera.camera.width) / camera.camera.fx);
             let towards = (camera.camera.forward() + side * across) * (2.0 * CAMERA * scale.reach);
             let (u, v) = self.place(scale, centre + towards);
             (u - x + inside.0, v - y + inside.1)

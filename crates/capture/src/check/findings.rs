@@ -41,7 +41,7 @@ pub(super) fn findings(photos: &[PhotoStats], unreadable: &[String]) -> Vec<Find
     let mut all = Vec::new();
     all.extend(number(photos.len()));
     if !unreadable.is_empty() {
-        let text = format!("{} photographs cannot be read", unreadable.len());
+        let text = format!("photographs that cannot be read: {}", unreadable.len());
         all.push(Finding { is_problem: true, text, photos: unreadable.to_vec() });
     }
     let median = median(photos.iter().map(|photo| photo.sharpness).collect());
@@ -66,7 +66,6 @@ pub(super) fn findings(photos: &[PhotoStats], unreadable: &[String]) -> Vec<Find
         })
         .map(hint),
     );
-    all.extend(copies(photos));
     all.extend(colours(photos));
     all.extend(camera(photos));
     all.sort_by_key(|finding| !finding.is_problem);
@@ -80,7 +79,7 @@ pub(super) fn ignored(files: &[IgnoredFile]) -> Vec<Finding> {
         groups.entry(file.reason).or_default().push(file.path.clone());
     }
     let text = |reason: &str, count: usize| {
-        format!("{count} image files are not used as photographs; each {reason}")
+        format!("files that are not used as photographs: {count}; each {reason}")
     };
     let finding = |(reason, photos): (&str, Vec<String>)| Finding {
         is_problem: false,
@@ -92,9 +91,9 @@ pub(super) fn ignored(files: &[IgnoredFile]) -> Vec<Finding> {
 
 fn number(photos: usize) -> Option<Finding> {
     let (is_problem, text) = match photos {
-        0..TOO_FEW => (true, format!("{photos} photographs are too few: take 40 to 200 from all sides")),
+        0..TOO_FEW => (true, format!("too few photographs ({photos}): take 40 to 200 from all sides")),
         TOO_FEW..FEW => {
-            (false, format!("{photos} photographs are few: 40 to 200 from all sides give a better model"))
+            (false, format!("few photographs ({photos}): 40 to 200 from all sides give a better model"))
         }
         _ => return None,
     };
@@ -115,7 +114,7 @@ fn hint(finding: Finding) -> Finding {
 }
 
 /// A finding about identical photographs; a problem if fewer than [`MIN_IMAGES`] different ones remain.
-fn copies(photos: &[PhotoStats]) -> Option<Finding> {
+pub(super) fn copies(photos: &[PhotoStats]) -> Option<Finding> {
     let mut seen = BTreeSet::new();
     let names: Vec<String> =
         photos.iter().filter(|photo| !seen.insert(photo.digest)).map(|photo| photo.name.clone()).collect();
@@ -138,7 +137,7 @@ fn colours(photos: &[PhotoStats]) -> Vec<Finding> {
     let text = |colour: &ColourConversion, count: usize| match colour {
         ColourConversion::None => String::new(),
         ColourConversion::Converted(profile) => {
-            format!("{count} photographs have the colour profile {profile} and are converted to sRGB")
+            format!("photographs with the colour profile {profile}, which are converted to sRGB: {count}")
         }
         ColourConversion::Ignored { profile, reason } => {
             format!(
@@ -266,7 +265,7 @@ mod tests {
         let copied = |different: u64| {
             let mut photos = sound();
             photos.iter_mut().for_each(|photo| photo.digest %= different);
-            findings(&photos, &[]).into_iter().find(|finding| finding.text.contains("identical")).unwrap()
+            copies(&photos).unwrap()
         };
         let (two, three) = (copied(2), copied(3));
         assert!(two.is_problem && two.photos.len() == 48 && two.photos[0] == "2.jpg", "{two:?}");

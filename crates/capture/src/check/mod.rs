@@ -50,6 +50,8 @@ pub fn check_photographs(photographs: &PhotosWithoutPoses) -> PhotographsReport 
         stats.overlap = similarity;
     }
     let mut findings = findings::findings(&photos, &unreadable);
+    findings.extend(findings::copies(&photos));
     findings.extend(findings::ignored(photographs.ignored()));
+    findings.sort_by_key(|finding| !finding.is_problem);
     PhotographsReport { photos, findings }
 }

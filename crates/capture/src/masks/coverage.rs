@@ -35,12 +35,12 @@ pub(crate) fn check(views: &[CaptureView]) -> Result<Vec<String>, CaptureError> 
     }
     let mut warnings = Vec::new();
     if !empty.is_empty() {
-        warnings.push(format!("{} photographs have an empty mask: {}", empty.len(), name_list(&empty)));
+        warnings.push(format!("photographs with an empty mask: {}: {}", empty.len(), name_list(&empty)));
     }
     if !inverted.is_empty() {
         warnings.push(format!(
-            "the masks of {} photographs keep the border and hide the middle; white must mark the object, so invert them \
-             unless this is intended: {}",
+            "photographs whose mask keeps the border and hides the middle: {}; white must mark the object, so invert the \
+             masks unless this is intended: {}",
             inverted.len(),
             name_list(&inverted)
         ));

@@ -182,11 +182,11 @@ pub(crate) fn find(source: &CaptureFiles, photos: &mut [PhotoEntry], warnings: &
     let used = photos.len() - without.len();
     if !unused.is_empty() {
         let all = used + unused.len();
-        warnings.push(format!("{all} masks, {used} used; not used: {}", name_list(&unused)));
+        warnings.push(format!("masks: {all}, used: {used}; not used: {}", name_list(&unused)));
     }
     if used > 0 && !without.is_empty() {
         warnings.push(format!(
-            "{} of {} photographs have no mask, so all of their pixels count as the object: {}",
+            "photographs without a mask: {} of {}; all of their pixels count as the object: {}",
             without.len(),
             photos.len(),
             name_list(&without)

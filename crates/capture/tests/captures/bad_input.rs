@@ -144,7 +144,7 @@ fn too_few_images_are_refused_with_count_and_names() {
     let error = refusal(&files);
     assert_eq!(error.code(), "capture_too_few_images");
     assert!(
-        error.to_string().contains("2 usable images") && error.to_string().contains("train/r_2"),
+        error.to_string().contains("usable photographs: 2") && error.to_string().contains("train/r_2"),
         "{error}"
     );
 }

@@ -105,7 +105,7 @@ fn masks_that_leave_no_object_are_refused() {
     let mut one_empty = with_masks(named, &grey(255, 0));
     one_empty.insert("masks/3.png".into(), grey(0, 0));
     let warnings = import_folder(&one_empty).unwrap().warnings;
-    assert!(warnings.len() == 1 && warnings[0].contains("1 photographs have an empty mask: images/3.png"));
+    assert!(warnings.len() == 1 && warnings[0].contains("photographs with an empty mask: 1: images/3.png"));
 }
 
 #[test]
@@ -130,13 +130,13 @@ fn inverted_masks_are_reported_by_photograph() {
 fn unused_and_missing_masks_are_reported() {
     let (share, warnings) = imported(&with_masks(|n| format!("masks/shot_{n}.png"), &grey(255, 0))).unwrap();
     assert_eq!(share, 1.0);
-    assert!(warnings.len() == 1 && warnings[0].starts_with("6 masks, 0 used; not used: masks/shot_0.png"));
+    assert!(warnings.len() == 1 && warnings[0].starts_with("masks: 6, used: 0; not used: masks/shot_0.png"));
     let mut files = with_masks(|n| format!("masks/{n}.png"), &grey(255, 0));
     files.remove("masks/1.png");
     files.remove("masks/4.png");
     let warnings = import_folder(&files).unwrap().warnings;
     assert!(
-        warnings.len() == 1 && warnings[0].starts_with("2 of 6 photographs have no mask"),
+        warnings.len() == 1 && warnings[0].starts_with("photographs without a mask: 2 of 6"),
         "{warnings:?}"
     );
     assert!(warnings[0].ends_with("images/1.png, images/4.png"), "{warnings:?}");

@@ -318,7 +318,7 @@ fn image_files_that_are_no_photographs_are_hints() {
     let raws: Files = (0..3).map(|i| (format!("IMG_{i}.NEF"), b"II*\0".to_vec())).collect();
     let text =
         PhotosWithoutPoses::open(folder_of(&raws).path(), &ImportLimits::default()).unwrap_err().to_string();
-    assert!(text.contains("3 raw files") && text.contains("develop"), "{text}");
+    assert!(text.contains("raw files of a camera: 3") && text.contains("develop"), "{text}");
 }
 
 /// A profile as libpng requires it: of a multiple of 4 bytes, with exactly the illuminant D50.

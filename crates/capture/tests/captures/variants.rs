@@ -62,7 +62,7 @@ fn photographs_under_other_names_are_used_with_a_warning() {
     }
     assert_eq!(same_cameras(&set, &set), [""; 0], "the control");
     let none = moved(&set, |name| name.replace("images/", "images/view_"));
-    assert!(refusal(&none).contains("0 usable images"), "the control: other names");
+    assert!(refusal(&none).contains("usable photographs: 0"), "the control: other names");
 }
 
 #[test]
@@ -78,6 +78,8 @@ fn sets_in_other_folders_or_of_other_names_are_found() {
     assert_eq!(same_cameras(&deep(&studio), &studio), [""; 0]);
     let renamed = moved(&studio, |name| name.replace("transforms.json", "transforms_1.json"));
     assert_eq!(same_cameras(&renamed, &studio), [""; 0]);
+    let test = moved(&synthetic, |name| name.replace("transforms_train", "transforms_test"));
+    assert!(refusal(&test).starts_with("transforms_train.json: is missing beside transforms_test.json"));
     let mut two = renamed.clone();
     two.insert("transforms_2.json".to_owned(), two["transforms_1.json"].clone());
     assert!(refusal(&two).contains("several captures; keep one of transforms_1.json, transforms_2.json"));
