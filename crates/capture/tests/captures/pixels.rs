@@ -314,7 +314,7 @@ fn image_files_that_are_no_photographs_are_hints() {
     }
     let (_, hints) = findings(&files);
     let hint = hints.iter().find(|text| text.contains("not used as photographs")).unwrap();
-    assert!(hint.contains("14 image files") && hint.contains("reduced copy"), "{hint}");
+    assert!(hint.contains("photographs: 14;") && hint.contains("reduced copy"), "{hint}");
     let raws: Files = (0..3).map(|i| (format!("IMG_{i}.NEF"), b"II*\0".to_vec())).collect();
     let text =
         PhotosWithoutPoses::open(folder_of(&raws).path(), &ImportLimits::default()).unwrap_err().to_string();
