@@ -10,6 +10,8 @@ use crate::photos::PhotoEntry;
 const UPRIGHT: f64 = 0.5;
 /// Least cosine between the estimated up direction and an axis of the world that it stands for, 20 degrees.
 const NEAR_AXIS: f64 = 0.94;
+/// Largest mean cosine between the direction of view and the axis around which cameras turn, 26 degrees.
+const ALONG_VIEW: f64 = 0.9;
 /// Least length of the mean up direction of cameras that agree on one.
 const COMMON: f64 = 0.2;
 
@@ -35,16 +37,27 @@ pub(super) fn upright(
     }
     let ups = poses.iter().map(|pose| pose.y_axis.truncate().normalize_or_zero());
     let mean = ups.sum::<DVec3>() / poses.len().max(1) as f64;
-    match stated {
-        StatedUp::No(program) if mean.length() < COMMON => {
+    match (stated, turning_axis(poses)) {
+        (StatedUp::PlusZ, turning) => other_axis(turning, mean, warnings),
+        (StatedUp::No(_), Some(turning)) => rotation(upwards(turning, poses, mean)),
+        (StatedUp::No(program), None) if mean.length() < COMMON => {
             warnings.push(format!(
                 "the cameras have no common up direction; the world keeps its {program} axes; state the axis with --up"
             ));
             DQuat::IDENTITY
         }
-        StatedUp::No(_) => rotation(mean.normalize()),
-        StatedUp::PlusZ => other_axis(poses, mean, warnings),
+        (StatedUp::No(_), None) => rotation(mean.normalize()),
     }
+}
+
+/// The turning axis with the sign that points up: along the mean up direction of the cameras. Cameras that were held sideways have
+/// none along the axis; most people hold the camera above the object and look down.
+fn upwards(turning: DVec3, poses: &[DMat4], mean: DVec3) -> DVec3 {
+    let along = mean.dot(turning);
+    let down =
+        || poses.iter().map(|pose| pose.z_axis.truncate().normalize_or_zero().dot(turning)).sum::<f64>();
+    let sign = if along.abs() > COMMON { along } else { down() };
+    if sign < 0.0 { -turning } else { turning }
 }
 
 /// Rotates poses and points.
@@ -56,14 +69,14 @@ pub(super) fn rotate(rotation: DQuat, photos: &mut [PhotoEntry], points: &mut [P
 }
 
 /// The rotation for a world that should be +Z up.
-fn other_axis(poses: &[DMat4], mean: DVec3, warnings: &mut Vec<String>) -> DQuat {
+fn other_axis(turning: Option<DVec3>, mean: DVec3, warnings: &mut Vec<String>) -> DQuat {
     let is_common = mean.length() > 0.5;
     if !is_common || mean.normalize().z >= UPRIGHT {
         return DQuat::IDENTITY;
     }
     let shown = format!("({:.2}, {:.2}, {:.2})", mean.x, mean.y, mean.z);
     let nearest = AXES.into_iter().max_by(|(_, a), (_, b)| a.dot(mean).total_cmp(&b.dot(mean)));
-    match (nearest, turning_axis(poses)) {
+    match (nearest, turning) {
         (Some((name, axis)), Some(turning)) if turning.dot(axis).abs() > NEAR_AXIS => {
             warnings.push(format!(
                 "the mean up direction of the cameras is {shown}, so {name} is taken as up and the world is rotated to +Z up; \
@@ -124,7 +137,10 @@ fn turning_axis(poses: &[DMat4]) -> Option<DVec3> {
     let largest = axis.dot(squared * axis);
     let trace = squared.x_axis.x + squared.y_axis.y + squared.z_axis.z;
     let second = (trace - largest).max(0.0);
-    (axis != DVec3::ZERO && largest > 0.5 && second < 0.5 * largest).then_some(axis)
+    let forward = poses.iter().map(|pose| -pose.z_axis.truncate().normalize_or_zero()).sum::<DVec3>();
+    // Cameras that roll about their common direction of view do not turn around an object.
+    let rolls = forward.dot(axis).abs() > ALONG_VIEW * poses.len() as f64;
+    (axis != DVec3::ZERO && !rolls && largest > 0.5 && second < 0.5 * largest).then_some(axis)
 }
 
 #[cfg(test)]
@@ -171,6 +187,27 @@ mod tests {
                 warnings.len() == 1 && warnings[0].contains(&format!("{name} is taken as up")),
                 "{warnings:?}"
             );
+        }
+    }
+
+    #[test]
+    fn cameras_that_roll_about_their_view_turn_around_nothing() {
+        let pose = |i: u32| orbit(20.0)[0] * DMat4::from_rotation_z(f64::from(i) * 1.5);
+        let rolled: Vec<_> = (0..8).map(pose).collect();
+        assert_eq!(turning_axis(&rolled), None);
+    }
+
+    #[test]
+    fn cameras_held_sideways_give_the_upright_world() {
+        let away = DQuat::from_euler(glam::EulerRot::XYZ, 0.4, 1.1, -0.6);
+        for roll in [0.0, 90.0, -90.0, 180.0f64] {
+            let held =
+                |pose: &DMat4| DMat4::from_quat(away) * *pose * DMat4::from_rotation_z(roll.to_radians());
+            let poses: Vec<_> = orbit(360.0).iter().map(held).collect();
+            let turn = upright(&poses, UpAxis::Auto, StatedUp::No("COLMAP"), &mut Vec::new());
+            // Held upside down, the world is upside down as well: nothing tells which is meant.
+            let expected = if roll == 180.0 { DVec3::NEG_Z } else { DVec3::Z };
+            assert!((turn * (away * DVec3::Z) - expected).length() < 1e-6, "{roll}");
         }
     }
 
