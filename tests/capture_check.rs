@@ -71,11 +71,11 @@ fn check_states_the_up_axis_and_takes_another() {
     });
     let capture = stored(&y_up);
     let text = told(&check(capture.path(), &[]));
-    assert!(text.contains("+Y is taken as up"), "{text}");
+    assert!(text.contains("probably +Y is up: train with --up y"), "{text}");
     let text = told(&check(capture.path(), &["--up", "y"]));
     assert!(!text.contains("warning"), "{text}");
     let refused = check(capture.path(), &["--up", "north"]);
     assert_eq!(refused.status.code(), Some(2));
-    let sheet = check(stored(&Files::new()).path(), &["--sheet", "x.svg"]);
-    assert!(String::from_utf8_lossy(&sheet.stderr).contains("--sheet"), "the control: no poses");
+    let picture = check(capture.path(), &["--sheet", "cameras.png"]);
+    assert_eq!(picture.status.code(), Some(2), "a picture of another kind");
 }

@@ -2,13 +2,11 @@
 
 use std::path::Path;
 
-use glam::DMat4;
 use rayon::prelude::*;
 use relume_spec::training::UpAxis;
 
 use crate::photos::{self, PhotoEntry, Split};
 use crate::truth::TruthFiles;
-use crate::upright::{StatedUp, upright};
 use crate::{CaptureError, CaptureFiles, ImportLimits, colmap, import, transforms};
 use relume_scene::Camera;
 
@@ -53,8 +51,8 @@ pub(super) fn of_photos(
     described.collect()
 }
 
-/// The cameras that a `transforms*.json` states, without its photographs, in the order of its frames. The world is rotated as that
-/// of a capture with these frames.
+/// The cameras that a `transforms*.json` states, without its photographs, in the order of its frames. The world is that of the
+/// file, and of a capture that was imported without another `up`.
 ///
 /// # Errors
 /// [`CaptureError`] names the field at fault; `w,h` where the file states no size and `size` is none.
@@ -64,12 +62,10 @@ pub fn cameras_of_transforms(
     size: Option<(u32, u32)>,
 ) -> Result<Vec<PhotoCamera>, CaptureError> {
     let set = transforms::parse(file, bytes, &ImportLimits::default())?;
-    let poses: Vec<_> = set.frames.iter().map(|frame| frame.pose).collect();
-    let turn = DMat4::from_quat(upright(&poses, UpAxis::Auto, StatedUp::PlusZ, &mut Vec::new()));
     let photos = set.frames.into_iter().map(|frame| PhotoEntry {
         image: frame.path,
         mask: None,
-        pose: turn * frame.pose,
+        pose: frame.pose,
         lens: frame.lens,
         light_rotation_deg: frame.light_rotation_deg,
         stated_in: file.to_owned(),

@@ -61,7 +61,8 @@ impl Lens {
         let (Some(fx), Some(fy)) = (fx.or(fy), fy.or(fx)) else {
             return Err(bad("fl_x", "is missing, as is camera_angle_x: the focal length is unknown".into()));
         };
-        if let Some(angle) = self.angle.into_iter().flatten().find(|angle| *angle > std::f64::consts::PI) {
+        let used = if self.focal == [None; 2] { self.angle } else { [None; 2] };
+        if let Some(angle) = used.into_iter().flatten().find(|angle| *angle > std::f64::consts::PI) {
             let reason = format!("{angle} is not an angle in radians; divide degrees by 57.296");
             return Err(bad("camera_angle_x", reason));
         }

@@ -17,19 +17,28 @@ const OMITTED: [&str; 9] =
 const ENDINGS: [&str; 11] =
     ["jpg", "jpeg", "png", "tif", "tiff", "webp", "exr", "heic", "heif", "avif", "dng"];
 /// Folders with maps that are no photographs.
-const OTHER_FOLDERS: [&str; 4] = ["depth", "normal", "confidence", "sparse"];
+const OTHER_FOLDERS: [&str; 6] = ["depth", "disparity", "normal", "confidence", "conf", "sparse"];
+/// Number of photographs of one file name that are compared with a stated name.
+const MOST_CANDIDATES: usize = 64;
 /// Start of the names of folders that contain reduced copies of `images`.
 const REDUCED: &str = "images_";
+
+/// A photograph of the capture.
+struct Candidate<'a> {
+    path: &'a str,
+    /// [`keys`] of its path.
+    keys: Vec<String>,
+}
 
 /// Finds photographs by the names that one file states.
 pub(super) struct PhotoFinder<'a> {
     source: &'a CaptureFiles,
     /// Folders in which the photographs may be, each with `/` at its end.
     folders: Vec<String>,
-    /// Whether all stated folders must agree.
+    /// Whether a photograph must be in its stated folder, so that only case, extension and Unicode form may differ.
     same_folders: bool,
     /// Paths of photographs by [`key`] of their file name; built for the first name that has no file.
-    index: Option<BTreeMap<String, Vec<&'a str>>>,
+    index: Option<BTreeMap<String, Vec<Candidate<'a>>>>,
     /// Names whose file has another path.
     renamed: Vec<(String, String)>,
     /// Names without a file.
@@ -51,6 +60,8 @@ impl<'a> PhotoFinder<'a> {
     pub(super) fn find_all(&mut self, names: &[&str]) -> Vec<Option<String>> {
         let exact: Vec<Option<String>> = names.iter().map(|name| self.exact(name)).collect();
         let mut taken: BTreeSet<String> = exact.iter().flatten().cloned().collect();
+        // Where some files have their stated folders, a file of another folder is another photograph.
+        self.same_folders |= !taken.is_empty();
         let or_similar = |(path, name): (Option<String>, &&str)| {
             path.or_else(|| {
                 let path = self.find_similar(name, &taken)?;
@@ -95,11 +106,18 @@ impl<'a> PhotoFinder<'a> {
         let index = self.index.get_or_insert_with(|| index(source));
         let wanted: Vec<String> = keys(name).collect();
         let Some(candidates) = wanted.first().and_then(|name| index.get(name)) else { return Vec::new() };
-        let agreement = |path: &str| keys(path).zip(&wanted).take_while(|(a, b)| a == *b).count();
-        let least = if self.same_folders { wanted.len() } else { 1 };
-        let free = candidates.iter().copied().filter(|path| !taken.contains(*path));
-        let agreeing: Vec<(usize, &str)> = free.map(|path| (agreement(path), path)).collect();
-        let best = agreeing.iter().map(|(n, _)| *n).max().unwrap_or(0).max(least);
+        let stated: Vec<Vec<String>> =
+            self.folders.iter().map(|folder| keys(&format!("{folder}{name}")).collect()).collect();
+        let free = candidates.iter().take(MOST_CANDIDATES).filter(|candidate| {
+            let is_meant = !self.same_folders || stated.contains(&candidate.keys);
+            is_meant && !taken.contains(candidate.path)
+        });
+        let agreement = |candidate: &Candidate<'_>| {
+            candidate.keys.iter().zip(&wanted).take_while(|(a, b)| a == b).count()
+        };
+        let agreeing: Vec<(usize, &str)> =
+            free.map(|candidate| (agreement(candidate), candidate.path)).collect();
+        let best = agreeing.iter().map(|(n, _)| *n).max().unwrap_or(0);
         let mut found: Vec<&str> =
             agreeing.iter().filter(|(n, _)| *n == best).map(|(_, path)| *path).collect();
         if found.len() > 1 {
@@ -145,7 +163,7 @@ impl<'a> PhotoFinder<'a> {
 }
 
 /// All photographs by the key of their file name.
-fn index(source: &CaptureFiles) -> BTreeMap<String, Vec<&str>> {
+fn index(source: &CaptureFiles) -> BTreeMap<String, Vec<Candidate<'_>>> {
     let is_photo = |path: &&str| {
         let in_other = path.split('/').rev().skip(1).any(|folder| {
             let folder = folder.to_lowercase();
@@ -153,10 +171,11 @@ fn index(source: &CaptureFiles) -> BTreeMap<String, Vec<&str>> {
         });
         !in_other && extension(path).is_some_and(|ending| ENDINGS.contains(&ending.as_str()))
     };
-    let mut index: BTreeMap<String, Vec<&str>> = BTreeMap::new();
+    let mut index: BTreeMap<String, Vec<Candidate<'_>>> = BTreeMap::new();
     for path in masks::separate(source.paths().filter(is_photo)) {
-        if let Some(key) = keys(path).next() {
-            index.entry(key).or_default().push(path);
+        let keys: Vec<String> = keys(path).collect();
+        if let Some(key) = keys.first() {
+            index.entry(key.clone()).or_default().push(Candidate { path, keys });
         }
     }
     index
@@ -227,12 +246,26 @@ mod tests {
 
     #[test]
     fn a_photograph_that_is_named_is_not_taken_for_another() {
-        let (paths, _) =
-            found(&["train/1.png", "2.png"], &["test/1.png", "train/1.png", "a/2.png", "b/2.png"]);
-        let expected = [None, Some("train/1.png".to_owned()), Some("2.png".to_owned()), None];
-        assert_eq!(paths, expected);
+        let (paths, _) = found(&["train/1.png", "x.txt"], &["test/1.png", "train/1.png"]);
+        assert_eq!(paths, [None, Some("train/1.png".to_owned())]);
+        let (paths, _) = found(&["2.png", "x.txt"], &["a/2.png", "b/2.png"]);
+        assert_eq!(paths, [Some("2.png".to_owned()), None], "one file is one photograph");
         let (paths, _) = found(&["train/1.png", "x.txt"], &["test/1.png"]);
         assert_eq!(paths[0].as_deref(), Some("train/1.png"), "the control");
+    }
+
+    #[test]
+    fn photographs_that_were_moved_away_are_missing() {
+        let files = ["images/1.png", "images/2.JPG", "rejected/3.png"];
+        let (paths, _) = found(&files, &["images/1.png", "images/2.png", "images/3.png"]);
+        let expected = [Some("images/1.png".to_owned()), Some("images/2.JPG".to_owned()), None];
+        assert_eq!(paths, expected);
+        let (paths, _) = found(&files, &["photos/3.png"]);
+        assert_eq!(
+            paths[0].as_deref(),
+            Some("rejected/3.png"),
+            "the control: no file is in its stated folder"
+        );
     }
 
     #[test]

@@ -23,16 +23,23 @@ pub(super) struct PolycamFolders {
     images: String,
 }
 
-/// Finds the folders of a Polycam capture: beside each other, with a JSON file in the first.
+/// Largest size of a JSON file, bytes.
+const MAX_BYTES: usize = 1 << 16;
+
+/// Finds the folders of a Polycam capture: beside each other, with a JSON file of a pose in the first.
 pub(super) fn find(source: &CaptureFiles) -> Option<PolycamFolders> {
     let files =
         || source.paths().filter(|path| path.ends_with(".json")).filter_map(|path| path.rsplit_once('/'));
     FOLDERS.iter().find_map(|(cameras, images)| {
-        files().find_map(|(folder, _)| {
+        files().find_map(|(folder, name)| {
             let root = folder.strip_suffix(cameras).filter(|root| root.is_empty() || root.ends_with('/'))?;
             let images = format!("{root}{images}");
-            let has_images = source.paths_under(&images).next().is_some();
-            has_images.then(|| PolycamFolders { cameras: format!("{folder}/"), images: format!("{images}/") })
+            let has_images = || source.paths_under(&images).next().is_some();
+            let start =
+                || source.read_start(&format!("{folder}/{name}"), MAX_BYTES as u64).unwrap_or_default();
+            let has_pose = || start().windows(6).any(|text| text == b"\"t_00\"");
+            (has_images() && has_pose())
+                .then(|| PolycamFolders { cameras: format!("{folder}/"), images: format!("{images}/") })
         })
     })
 }
@@ -55,7 +62,12 @@ pub(super) fn read(
         files.iter().map(|file| file[folders.cameras.len()..].trim_end_matches(".json")).collect();
     for (file, image) in files.into_iter().zip(finder.find_all(&names)) {
         let Some(image) = image else { continue };
-        let value = parse_json(file, &source.read(file)?)?;
+        let bytes = source.read_start(file, MAX_BYTES as u64 + 1)?;
+        if bytes.len() > MAX_BYTES {
+            let reason = format!("has more than {MAX_BYTES} bytes");
+            return Err(CaptureError::File { file: file.to_owned(), reason });
+        }
+        let value = parse_json(file, &bytes)?;
         let fields = Fields::new(file, "", &value)?;
         let lens = StatedLens::read(&fields)?.lens().map_err(|(name, reason)| fields.error(name, reason))?;
         photos.push(PhotoEntry {
@@ -72,7 +84,8 @@ pub(super) fn read(
     }
     finder.finish(&folders.cameras, photos.len(), warnings)?;
     let poses: Vec<_> = photos.iter().map(|photo| photo.pose).collect();
-    upright::rotate(upright(&poses, up, StatedUp::PlusZ, warnings), &mut photos, &mut []);
+    // The phone knows the direction of gravity, so the cameras' up directions are not needed.
+    upright::rotate(upright(&poses, up, StatedUp::PlusZ, &mut Vec::new()), &mut photos, &mut []);
     Ok((photos, Vec::new()))
 }
 

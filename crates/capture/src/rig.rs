@@ -134,8 +134,7 @@ fn looking(photos: &[PhotoEntry]) -> usize {
 /// as OpenGL axes, the cameras look away from what they photograph and are upside down.
 pub(super) fn convert_opencv_axes(photos: &mut [PhotoEntry], warnings: &mut Vec<String>) {
     let up = photos.iter().map(up).sum::<DVec3>() / photos.len().max(1) as f64;
-    let is_upside_down = up.z < -0.5 || up.y < -0.5;
-    if is_upside_down && 10 * looking(photos) < photos.len() {
+    if up.z < -0.5 && 10 * looking(photos) < photos.len() {
         let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
         photos.iter_mut().for_each(|photo| photo.pose *= flip);
         warnings.push(
@@ -163,8 +162,11 @@ fn up(photo: &PhotoEntry) -> DVec3 {
 }
 
 fn upside_down(photos: &[PhotoEntry]) -> Option<String> {
-    let mean = photos.iter().map(up).sum::<DVec3>().normalize_or_zero();
-    let turned = photos.iter().filter(|photo| up(photo).dot(mean) < -0.5);
+    let mean = photos.iter().map(up).sum::<DVec3>() / photos.len().max(1) as f64;
+    if mean.length() < 0.5 {
+        return None;
+    }
+    let turned = photos.iter().filter(|photo| up(photo).dot(mean.normalize()) < -0.5);
     let names: Vec<String> = turned.map(|photo| photo.image.clone()).collect();
     (!names.is_empty()).then(|| {
         format!(

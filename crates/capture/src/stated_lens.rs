@@ -23,6 +23,8 @@ pub(super) struct StatedLens {
     omega: Option<f64>,
     model: Option<String>,
     is_fisheye: Option<bool>,
+    /// The key of a matrix of intrinsics that cannot be read. An error only if nothing else states the focal length.
+    unread: Option<&'static str>,
 }
 
 impl StatedLens {
@@ -36,10 +38,13 @@ impl StatedLens {
         };
         let mut focal = [number(&["fl_x", "fx"])?, number(&["fl_y", "fy"])?];
         let mut centre = [number(&["cx"])?, number(&["cy"])?];
-        if focal == [None; 2]
-            && let Some((f, c)) = from_matrix(fields)?
-        {
-            (focal, centre) = (f.map(Some), c.map(Some));
+        let mut unread = None;
+        if focal == [None; 2] {
+            match from_matrix(fields) {
+                Some(Ok((f, c))) => (focal, centre) = (f.map(Some), c.map(Some)),
+                Some(Err(name)) => unread = Some(name),
+                None => {}
+            }
         }
         let mut k = [None; 6];
         for (k, name) in k.iter_mut().zip(["k1", "k2", "k3", "k4", "k5", "k6"]) {
@@ -56,6 +61,7 @@ impl StatedLens {
             omega: number(&["omega"])?,
             model: fields.text("camera_model")?.map(str::to_owned),
             is_fisheye: fields.flag("is_fisheye")?,
+            unread,
         })
     }
 
@@ -75,14 +81,22 @@ impl StatedLens {
             omega: self.omega.or(shared.omega),
             model: self.model.or_else(|| shared.model.clone()),
             is_fisheye: self.is_fisheye.or(shared.is_fisheye),
+            unread: self.unread.or(shared.unread),
         }
     }
 
     /// The lens.
     ///
     /// # Errors
-    /// Names `camera_model` with the reason if the model is not supported.
+    /// Names `camera_model` if the model is not supported, or the matrix that cannot be read.
     pub(super) fn lens(&self) -> Result<Lens, (&'static str, String)> {
+        let has_focal = self.focal != [None; 2] || self.angle != [None; 2];
+        if let Some(name) = self.unread.filter(|_| !has_focal) {
+            return Err((
+                name,
+                "must be the matrix fx 0 cx; 0 fy cy; 0 0 1, or fx, fy, cx, cy, in pixels".to_owned(),
+            ));
+        }
         Ok(Lens {
             size: self.size[0].zip(self.size[1]),
             focal: self.focal,
@@ -126,20 +140,21 @@ impl StatedLens {
 /// Focal lengths and principal point, pixels.
 type FocalAndCentre = ([f64; 2], [f64; 2]);
 
-/// Focal lengths and principal point from the matrix `fx 0 cx; 0 fy cy; 0 0 1`, if the fields have one.
-fn from_matrix(fields: &Fields<'_>) -> Result<Option<FocalAndCentre>, CaptureError> {
-    let Some(name) =
-        MATRICES.into_iter().find(|name| fields.get(name).is_some_and(serde_json::Value::is_array))
-    else {
-        return Ok(None);
-    };
-    let rows = fields.rows(name)?.unwrap_or_default();
-    match rows.iter().map(Vec::as_slice).collect::<Vec<_>>()[..] {
+/// Focal lengths and principal point from the matrix `fx 0 cx; 0 fy cy; 0 0 1`, its transpose, or the numbers `fx fy cx cy`; the key
+/// if it has another form. `None` without such a key.
+fn from_matrix(fields: &Fields<'_>) -> Option<Result<FocalAndCentre, &'static str>> {
+    let name = MATRICES.into_iter().find(|name| fields.get(name).is_some())?;
+    let rows = fields.rows(name).ok().flatten().unwrap_or_default();
+    Some(match rows.iter().map(Vec::as_slice).collect::<Vec<_>>()[..] {
         [[fx, _, cx, ..], [_, fy, cy, ..], [a, b, one, ..], ..] if [*a, *b, *one] == [0.0, 0.0, 1.0] => {
-            Ok(Some(([*fx, *fy], [*cx, *cy])))
+            Ok(([*fx, *fy], [*cx, *cy]))
         }
-        _ => Err(fields.error(name, "must be the matrix fx 0 cx; 0 fy cy; 0 0 1, by rows, in pixels")),
-    }
+        [[fx, _, a, ..], [_, fy, b, ..], [cx, cy, one, ..], ..] if [*a, *b, *one] == [0.0, 0.0, 1.0] => {
+            Ok(([*fx, *fy], [*cx, *cy]))
+        }
+        [[fx, fy, cx, cy]] => Ok(([*fx, *fy], [*cx, *cy])),
+        _ => Err(name),
+    })
 }
 
 #[cfg(test)]
@@ -154,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn matrix_of_intrinsics_is_read_unless_transposed() {
+    fn matrices_of_intrinsics_are_read() {
         let k = json!([[90.0, 0, 48.0], [0, 91.0, 36.0], [0, 0, 1]]);
         let flat = json!([90.0, 0, 48.0, 0, 91.0, 36.0, 0, 0, 1]);
         let four = json!([[90.0, 0, 48.0, 0], [0, 91.0, 36.0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]);
@@ -162,8 +177,15 @@ mod tests {
             let lens = lens(json!({ name: matrix })).unwrap();
             assert_eq!((lens.focal, lens.centre), ([Some(90.0), Some(91.0)], [Some(48.0), Some(36.0)]));
         }
-        let transposed = json!({"K": [[90.0, 0, 0], [0, 91.0, 0], [48.0, 36.0, 1]]});
-        assert!(lens(transposed).unwrap_err().contains("K: must be the matrix"));
+        let transposed = json!([[90.0, 0, 0], [0, 91.0, 0], [48.0, 36.0, 1]]);
+        for (name, matrix) in [("K", transposed), ("intrinsics", json!([90.0, 91.0, 48.0, 36.0]))] {
+            let lens = lens(json!({ name: matrix })).unwrap();
+            assert_eq!((lens.focal, lens.centre), ([Some(90.0), Some(91.0)], [Some(48.0), Some(36.0)]));
+        }
+        let other = json!([[90.0, 0], [0, 91.0]]);
+        assert!(lens(json!({"K": other})).unwrap_err().contains("K: must be the matrix"));
+        let known = lens(json!({"K": other, "camera_angle_x": 0.8})).unwrap();
+        assert_eq!(known.angle[0], Some(0.8), "the angle states the focal length");
     }
 
     #[test]

@@ -41,8 +41,9 @@ pub(super) struct TransformsFrame {
     pub light_rotation_deg: f64,
 }
 
-/// Largest size of the JSON, bytes: about ten times that of [`ImportLimits::max_images`] frames.
-const MAX_BYTES: usize = 128 << 20;
+/// Largest size of the JSON, bytes: about twice that of [`ImportLimits::max_images`] frames. The parsed values take up to 16 times as
+/// much memory.
+const MAX_BYTES: usize = 32 << 20;
 
 /// Reads and checks `file`.
 ///

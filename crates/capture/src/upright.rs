@@ -10,6 +10,9 @@ use crate::photos::PhotoEntry;
 const UPRIGHT: f64 = 0.5;
 /// Least cosine between the estimated up direction and an axis of the world that it stands for, 20 degrees.
 const NEAR_AXIS: f64 = 0.94;
+/// Largest cosine between the mean up direction and the axis around which the cameras turn for cameras that were held sideways,
+/// 45 degrees.
+const SIDEWAYS: f64 = 0.7;
 /// Largest mean cosine between the direction of view and the axis around which cameras turn, 26 degrees.
 const ALONG_VIEW: f64 = 0.9;
 /// Least length of the mean up direction of cameras that agree on one.
@@ -24,8 +27,8 @@ pub(super) enum StatedUp {
     No(&'static str),
 }
 
-/// The rotation of the world that makes +Z up. `poses` are camera-to-world with OpenGL axes. The rotation is not the
-/// identity for a layout that states +Z only if `choice` says so, or if the cameras agree on another axis.
+/// The rotation of the world that makes +Z up. `poses` are camera-to-world with OpenGL axes. A layout that states +Z is rotated
+/// only if `choice` says so; cameras that disagree with it give a warning.
 pub(super) fn upright(
     poses: &[DMat4],
     choice: UpAxis,
@@ -37,16 +40,20 @@ pub(super) fn upright(
     }
     let ups = poses.iter().map(|pose| pose.y_axis.truncate().normalize_or_zero());
     let mean = ups.sum::<DVec3>() / poses.len().max(1) as f64;
-    match (stated, turning_axis(poses)) {
-        (StatedUp::PlusZ, turning) => other_axis(turning, mean, warnings),
-        (StatedUp::No(_), Some(turning)) => rotation(upwards(turning, poses, mean)),
-        (StatedUp::No(program), None) if mean.length() < COMMON => {
+    let StatedUp::No(program) = stated else {
+        warnings.extend(other_axis(poses, mean));
+        return DQuat::IDENTITY;
+    };
+    match turning_axis(poses).map(|turning| upwards(turning, poses, mean)) {
+        // The camera was held sideways: the mean up direction is another one, or there is none.
+        Some(up) if mean.dot(up) < SIDEWAYS * mean.length() || mean.length() < COMMON => rotation(up),
+        _ if mean.length() < COMMON => {
             warnings.push(format!(
                 "the cameras have no common up direction; the world keeps its {program} axes; state the axis with --up"
             ));
             DQuat::IDENTITY
         }
-        (StatedUp::No(_), None) => rotation(mean.normalize()),
+        _ => rotation(mean.normalize()),
     }
 }
 
@@ -68,39 +75,36 @@ pub(super) fn rotate(rotation: DQuat, photos: &mut [PhotoEntry], points: &mut [P
     }
 }
 
-/// The rotation for a world that should be +Z up.
-fn other_axis(turning: Option<DVec3>, mean: DVec3, warnings: &mut Vec<String>) -> DQuat {
+/// A warning for a world that should be +Z up and is not, with the axis that is up instead, if there is one.
+fn other_axis(poses: &[DMat4], mean: DVec3) -> Option<String> {
     let is_common = mean.length() > 0.5;
     if !is_common || mean.normalize().z >= UPRIGHT {
-        return DQuat::IDENTITY;
+        return None;
     }
-    let shown = format!("({:.2}, {:.2}, {:.2})", mean.x, mean.y, mean.z);
-    let nearest = AXES.into_iter().max_by(|(_, a), (_, b)| a.dot(mean).total_cmp(&b.dot(mean)));
-    match (nearest, turning) {
-        (Some((name, axis)), Some(turning)) if turning.dot(axis).abs() > NEAR_AXIS => {
-            warnings.push(format!(
-                "the mean up direction of the cameras is {shown}, so {name} is taken as up and the world is rotated to +Z up; \
-                 --up z keeps the axes"
-            ));
-            rotation(axis)
-        }
-        _ => {
-            warnings.push(format!(
-                "the mean up direction of the cameras is {shown}, not +Z: environment maps will shine from the side; state the \
-                 axis that is up with --up"
-            ));
-            DQuat::IDENTITY
-        }
-    }
+    let (_, (name, flag), axis) = AXES
+        .into_iter()
+        .map(|(name, axis)| (axis.dot(mean), name, axis))
+        .max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let is_axis = turning_axis(poses).is_some_and(|turning| turning.dot(axis).abs() > NEAR_AXIS);
+    let cause = if is_axis {
+        format!("probably {name} is up: train with --up {flag}")
+    } else {
+        "state the axis that is up with --up".to_owned()
+    };
+    Some(format!(
+        "the mean up direction of the cameras is ({:.2}, {:.2}, {:.2}), not +Z: environment maps will shine from the side; {cause}",
+        mean.x, mean.y, mean.z
+    ))
 }
 
-const AXES: [(&str, DVec3); 6] = [
-    ("+X", DVec3::X),
-    ("+Y", DVec3::Y),
-    ("+Z", DVec3::Z),
-    ("-X", DVec3::NEG_X),
-    ("-Y", DVec3::NEG_Y),
-    ("-Z", DVec3::NEG_Z),
+/// Axes with their names and the values of `--up`.
+const AXES: [((&str, &str), DVec3); 6] = [
+    (("+X", "x"), DVec3::X),
+    (("+Y", "y"), DVec3::Y),
+    (("+Z", "z"), DVec3::Z),
+    (("-X", "-x"), DVec3::NEG_X),
+    (("-Y", "-y"), DVec3::NEG_Y),
+    (("-Z", "-z"), DVec3::NEG_Z),
 ];
 
 fn axis(choice: UpAxis) -> Option<DVec3> {
@@ -173,20 +177,20 @@ mod tests {
     }
 
     #[test]
-    fn world_of_another_axis_is_rotated_and_reported() {
+    fn world_of_another_axis_is_reported_with_the_axis() {
         let poses = orbit(360.0);
         let mut warnings = Vec::new();
-        let kept = upright(&poses, UpAxis::Auto, StatedUp::PlusZ, &mut warnings);
-        assert_eq!((kept, warnings.len()), (DQuat::IDENTITY, 0));
-        for (name, axis) in AXES.into_iter().filter(|(name, _)| *name != "+Z") {
-            let away = DQuat::from_rotation_arc(DVec3::Z, axis);
+        assert_eq!(upright(&poses, UpAxis::Auto, StatedUp::PlusZ, &mut warnings), DQuat::IDENTITY);
+        assert!(warnings.is_empty());
+        for ((name, flag), axis) in AXES.into_iter().filter(|((name, _), _)| *name != "+Z") {
+            let poses = rotated(&poses, DQuat::from_rotation_arc(DVec3::Z, axis));
             let mut warnings = Vec::new();
-            let turn = upright(&rotated(&poses, away), UpAxis::Auto, StatedUp::PlusZ, &mut warnings);
-            assert!((turn * axis - DVec3::Z).length() < 1e-12, "{name}: {turn}");
-            assert!(
-                warnings.len() == 1 && warnings[0].contains(&format!("{name} is taken as up")),
-                "{warnings:?}"
-            );
+            assert_eq!(upright(&poses, UpAxis::Auto, StatedUp::PlusZ, &mut warnings), DQuat::IDENTITY);
+            let expected = format!("probably {name} is up: train with --up {flag}");
+            assert!(warnings.len() == 1 && warnings[0].ends_with(&expected), "{warnings:?}");
+            let choice: UpAxis = serde_json::from_value(flag.into()).unwrap();
+            let turn = upright(&poses, choice, StatedUp::PlusZ, &mut warnings);
+            assert!((turn * axis - DVec3::Z).length() < 1e-12 && warnings.len() == 1, "{name}: {turn}");
         }
     }
 
@@ -212,17 +216,14 @@ mod tests {
     }
 
     #[test]
-    fn stated_axis_decides_and_unclear_cameras_only_warn() {
-        let sideways = rotated(&orbit(360.0), DQuat::from_rotation_arc(DVec3::Z, DVec3::Y));
-        let turn = |poses: &[DMat4], choice, warnings: &mut Vec<String>| {
-            upright(poses, choice, StatedUp::PlusZ, warnings)
-        };
+    fn unclear_cameras_give_a_warning_without_an_axis() {
+        let away = DQuat::from_rotation_z(0.8) * DQuat::from_rotation_x(1.5);
         let mut warnings = Vec::new();
-        assert_eq!(turn(&sideways, UpAxis::Z, &mut warnings), DQuat::IDENTITY);
-        assert!((turn(&sideways, UpAxis::NegX, &mut warnings) * DVec3::NEG_X - DVec3::Z).length() < 1e-12);
-        assert!(warnings.is_empty());
-        let oblique = rotated(&orbit(360.0), DQuat::from_rotation_z(0.8) * DQuat::from_rotation_x(1.5));
-        assert_eq!(turn(&oblique, UpAxis::Auto, &mut warnings), DQuat::IDENTITY);
-        assert!(warnings.len() == 1 && warnings[0].contains("state the axis"), "{warnings:?}");
+        let kept = upright(&rotated(&orbit(360.0), away), UpAxis::Auto, StatedUp::PlusZ, &mut warnings);
+        assert_eq!(kept, DQuat::IDENTITY);
+        assert!(
+            warnings.len() == 1 && warnings[0].ends_with("state the axis that is up with --up"),
+            "{warnings:?}"
+        );
     }
 }

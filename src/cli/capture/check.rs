@@ -31,7 +31,7 @@ pub(super) struct CheckArgs {
     #[arg(long, default_value = "auto", value_parser = named::<UpAxis>, allow_hyphen_values = true)]
     up: UpAxis,
     /// Write a picture of the cameras and the sparse points, from above and from the side, as SVG to this file.
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", value_parser = svg_file)]
     sheet: Option<PathBuf>,
 }
 
@@ -46,20 +46,23 @@ pub(super) fn run(args: &CheckArgs) -> CommandResult<ExitCode> {
     let limits = ImportLimits::default();
     let is_sound = if has_poses(&path, &limits)? {
         check_capture(&path, args)?
-    } else if args.sheet.is_some() {
-        return Err(format!(
-            "{}: has no poses, so --sheet has no cameras to show",
-            args.photographs.display()
-        )
-        .into());
     } else {
         let photographs = PhotosWithoutPoses::open(&path, &limits)?.ok_or_else(none)?;
         let report = check_photographs(&photographs);
         lines(&report, args.each).iter().for_each(|line| println!("{line}"));
+        if args.sheet.is_some() {
+            println!("hint: no picture of the cameras is written, because the photographs have no poses");
+        }
         !report.has_problems()
     };
     println!("{}", if is_sound { "suitable for training" } else { "not suitable for training" });
     Ok(if is_sound { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn svg_file(name: &str) -> Result<PathBuf, String> {
+    let file = PathBuf::from(name);
+    let is_svg = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("svg"));
+    if is_svg { Ok(file) } else { Err("the name must end in .svg".to_owned()) }
 }
 
 /// Imports a capture with poses as a training does, and prints what the import found. Returns whether it can be trained on.
@@ -82,6 +85,7 @@ fn check_capture(path: &Path, args: &CheckArgs) -> CommandResult<bool> {
         let capture = UndecodedCapture::open(path, &options)?;
         let points: Vec<_> = capture.points().collect();
         write_named(file, rig_svg(&capture.cameras()?, &points, &report).as_bytes())?;
+        println!("cameras drawn in {}", file.display());
     }
     Ok(true)
 }

@@ -13,6 +13,8 @@ use relume_train::eval::{EvalError, NovelViews};
 const MAX_VIEWS: usize = 8;
 /// The warning for a capture without held-out views.
 pub(super) const NO_VIEWS: &str = "the capture has no held-out views: nothing was compared";
+const EMPTY_VIEWS: &str = "no held-out view shows the object: nothing was compared";
+const NO_MATERIALS: &str = "the model was trained without materials: only the radiance branch was compared";
 
 /// A comparison with its views. Only the selected held-out views stay in memory.
 pub(super) struct Comparison {
@@ -65,14 +67,16 @@ impl Comparison {
     /// The means over all compared views.
     pub fn figures(&self) -> Figures {
         let scores = self.views.as_ref().map(NovelViews::scores);
-        let note = scores.map_or(Some(NO_VIEWS), |scores| {
-            let absent = scores.shaded.psnr.is_none();
-            absent.then_some("the model was trained without materials: only the radiance branch was compared")
-        });
+        let note = match &scores {
+            None => Some(NO_VIEWS),
+            Some(scores) if scores.views == 0 => Some(EMPTY_VIEWS),
+            Some(scores) if scores.shaded.psnr.is_none() => Some(NO_MATERIALS),
+            Some(_) => None,
+        };
         let scores = scores.unwrap_or_default();
         let psnr = |psnr| Similarity { psnr, ssim: None };
         Figures {
-            views: self.compared,
+            views: scores.views,
             held_out_views: self.held_out,
             foreground_pixels: scores.foreground_pixels,
             novel_view: Similarity { psnr: scores.shaded.psnr, ssim: scores.shaded.ssim },

@@ -80,7 +80,8 @@ pub(crate) fn find(source: &CaptureFiles) -> Option<ModelFiles> {
         let place = place(&candidate.folder);
         let rank = FOLDERS.iter().position(|known| *known == place).unwrap_or(FOLDERS.len());
         // 3D Gaussian Splatting's converter keeps the model of the distorted photographs in `distorted`.
-        let depth = place.split('/').count() + 100 * usize::from(place.contains("distorted/"));
+        let depth =
+            place.split('/').count() + 100 * usize::from(place.split('/').any(|part| part == "distorted"));
         places.entry((rank, depth, place)).or_default().push(candidate);
     }
     let most = |candidates: &Vec<Candidate>| candidates.iter().map(|c| c.images).max().unwrap_or(0);
@@ -168,6 +169,7 @@ mod tests {
             (&[("sparse/0", 14), ("distorted/sparse/0", 20)], "sparse/0/"),
             (&[("sparse/0", 2), ("colmap/sparse/0", 20)], "colmap/sparse/0/"),
             (&[("a/distorted/sparse/0", 14), ("a/b/c/sparse/3", 14)], "a/b/c/sparse/3/"),
+            (&[("x/distorted/sparse/0", 14), ("x/undistorted/sparse/0", 14)], "x/undistorted/sparse/0/"),
             (&[("dense/sparse", 14)], "dense/sparse/"),
             (&[("", 14)], ""),
         ] {

@@ -34,11 +34,11 @@ pub enum LabelSource {
     Both,
 }
 
-/// Direction in the files of a capture that is up. `auto`: the layout's own, or the one on which the cameras agree. `x`, `y`,
-/// `z`, `-x`, `-y`, `-z`: an axis of the files.
+/// Direction in the files of a capture that is up. `auto`: the direction that the layout states, otherwise that of the cameras.
+/// `x`, `y`, `z`, `-x`, `-y`, `-z`: an axis of the files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 pub enum UpAxis {
-    /// The layout's own, or the one on which the cameras agree.
+    /// The direction that the layout states, otherwise that of the cameras.
     #[default]
     #[serde(rename = "auto")]
     Auto,

@@ -23,6 +23,7 @@ pub struct NovelViews {
     shaded: ImageTotals,
     radiance: ImageTotals,
     matched: ImageTotals,
+    compared: usize,
     foreground_pixels: u64,
 }
 
@@ -35,6 +36,8 @@ pub struct NovelViewScores {
     pub radiance: ImageScores,
     /// As `shaded`, at the exposure and white balance of each photograph.
     pub matched: ImageScores,
+    /// Number of compared views.
+    pub views: usize,
     /// Number of pixels of the object in the compared photographs: those inside the masks, without masks all.
     pub foreground_pixels: u64,
 }
@@ -53,6 +56,7 @@ impl NovelViews {
             shaded: ImageTotals::default(),
             radiance: ImageTotals::default(),
             matched: ImageTotals::default(),
+            compared: 0,
             foreground_pixels: 0,
         })
     }
@@ -83,7 +87,12 @@ impl NovelViews {
     /// Scores of the views compared so far.
     pub fn scores(&self) -> NovelViewScores {
         let (shaded, radiance) = (self.shaded.scores(), self.radiance.scores());
-        let (matched, foreground_pixels) = (self.matched.scores(), self.foreground_pixels);
-        NovelViewScores { shaded, radiance, matched, foreground_pixels }
+        NovelViewScores {
+            shaded,
+            radiance,
+            matched: self.matched.scores(),
+            views: self.compared,
+            foreground_pixels: self.foreground_pixels,
+        }
     }
 }
