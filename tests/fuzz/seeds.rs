@@ -8,7 +8,7 @@ use relume_scene::EnvMap;
 use serde_json::json;
 
 use relume_fixtures::model;
-use relume_fixtures::small_set::{Files, blender, camera, colmap, nerfstudio, picture};
+use relume_fixtures::small_set::{Files, blender, camera, colmap, nerfstudio, picture, polycam};
 
 pub fn images() -> Vec<Vec<u8>> {
     let rgb: Vec<[u8; 3]> = (0..48).map(|p| [p, 200, 255 - p]).collect();
@@ -89,7 +89,24 @@ pub fn captures() -> Vec<Files> {
         (set["k1"], set["k2"], set["p1"]) = (json!(0.1), json!(-0.01), json!(0.001));
         set["frames"][1]["mask_path"] = json!("images/0.png");
     });
-    vec![blender(), hidden, distorted, nerfstudio(|_| {}), colmap(), binary_colmap()]
+    let matrices = nerfstudio(|set| {
+        set["camera_model"] = json!("THIN_PRISM_FISHEYE");
+        set["frames"][0]["K"] = json!([[9.0, 0, 4.0], [0, 9.5, 3.0], [0, 0, 1]]);
+        set["frames"][1]["file_path"] = json!("C:\\scan\\images\\1.PNG");
+    });
+    let mut fisheye = colmap();
+    fisheye.insert("sparse/0/cameras.txt".to_owned(), b"1 FOV 8 6 9 9.5 4 3 0.8\n".to_vec());
+    vec![
+        blender(),
+        hidden,
+        distorted,
+        nerfstudio(|_| {}),
+        matrices,
+        colmap(),
+        fisheye,
+        binary_colmap(),
+        polycam(),
+    ]
 }
 
 /// The COLMAP model of [`colmap`], as binary files.

@@ -57,24 +57,36 @@ pub(super) fn rig_svg(cameras: &[PhotoCamera], points: &[DVec3], report: &Captur
     for panel in &panels {
         panel.draw(&mut svg, &scale, cameras, points, report.radius);
     }
+    legend(&mut svg, points.is_empty(), report.radius);
+    svg.push_str("</svg>\n");
+    svg
+}
+
+/// Explains the signs below the panels.
+fn legend(svg: &mut String, is_without_points: bool, radius: f64) {
     let y = PANEL + 2.4 * MARGIN;
-    for (i, name) in ["trained on", "held out"].iter().enumerate() {
-        let x = MARGIN + 120.0 * i as f64;
-        let colour = COLOURS[i];
+    let mut x = MARGIN + 5.0;
+    let mut entry = |colour: &str, radius: f64, text: &str| {
         let _ = writeln!(
             svg,
-            "<circle cx=\"{x}\" cy=\"{}\" r=\"5\" fill=\"{colour}\"/><text x=\"{}\" y=\"{y}\">{name}</text>",
-            y - 4.0,
+            "<circle cx=\"{x}\" cy=\"{}\" r=\"{radius}\" fill=\"{colour}\"/><text x=\"{}\" y=\"{y}\">{text}</text>",
+            y - 4.5,
             x + 12.0
         );
+        x += 36.0 + 6.6 * text.len() as f64;
+    };
+    entry(COLOURS[0], 5.0, "camera and its view, trained on");
+    entry(COLOURS[1], 5.0, "held out");
+    if !is_without_points {
+        entry("#999", 2.0, "sparse points");
     }
-    let _ = writeln!(
-        svg,
-        "<text x=\"{}\" y=\"{y}\">circle: region of interest, radius {:.3} units</text>\n</svg>",
-        MARGIN + 240.0,
-        report.radius
-    );
-    svg
+    entry("#ccc", 5.0, &format!("region of interest, radius {radius:.3} units"));
+}
+
+/// The largest of 1, 2 and 5 times a power of ten that is at most `length`.
+fn round_length(length: f64) -> f64 {
+    let power = 10f64.powf(length.log10().floor());
+    [5.0, 2.0].into_iter().map(|step| step * power).find(|step| *step <= length).unwrap_or(power)
 }
 
 impl Panel {
@@ -97,6 +109,7 @@ impl Panel {
         let _ =
             writeln!(svg, "<circle cx=\"{x}\" cy=\"{y}\" r=\"{r:.1}\" fill=\"#8882\" stroke=\"#888\"/></g>");
         cameras.iter().for_each(|camera| self.draw_camera(svg, scale, camera));
+        self.draw_scale(svg, scale);
         let (bottom, right) = (MARGIN + PANEL, left + PANEL);
         let _ = writeln!(
             svg,
@@ -107,6 +120,20 @@ impl Panel {
             left + 6.0,
             MARGIN + 16.0,
             self.up.1
+        );
+    }
+
+    /// A bar of a round length.
+    fn draw_scale(&self, svg: &mut String, scale: &Scale) {
+        let length = round_length(0.5 * scale.reach);
+        let (x, y) = (self.left + 12.0, MARGIN + PANEL - 12.0);
+        let end = x + length / scale.reach * 0.5 * PANEL;
+        let _ = writeln!(
+            svg,
+            "<path d=\"M{x} {}V{y}H{end:.1}V{}\" fill=\"none\" stroke=\"#333\"/><text x=\"{:.1}\" y=\"{y}\">{length} units</text>",
+            y - 5.0,
+            y - 5.0,
+            end + 6.0
         );
     }
 
@@ -169,6 +196,13 @@ mod tests {
         }
         assert_eq!(svg.matches(&format!("<g stroke=\"{}\"", COLOURS[1])).count(), 2);
         assert!(svg.ends_with("</svg>\n"));
+    }
+
+    #[test]
+    fn scale_bar_has_a_round_length() {
+        for (length, round) in [(0.7, 0.5), (3.9, 2.0), (1.0, 1.0), (1900.0, 1000.0), (0.05, 0.05)] {
+            assert!((round_length(length) / round - 1.0).abs() < 1e-9, "{length}: {}", round_length(length));
+        }
     }
 
     #[test]

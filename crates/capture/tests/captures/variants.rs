@@ -5,7 +5,7 @@ use glam::{DQuat, DVec3};
 use relume_capture::{Capture, CaptureError, ImportOptions, import};
 use relume_compare::largest_difference;
 use relume_fixtures::small_set::{
-    Files, blender, camera, colmap, import_folder, nerfstudio, pose, pose_error,
+    Files, blender, camera, colmap, import_folder, nerfstudio, polycam, pose, pose_error,
 };
 use relume_scene::Camera;
 use relume_spec::training::UpAxis;
@@ -254,18 +254,7 @@ fn worlds_with_y_up_are_reported_and_rotated_on_request() {
 
 #[test]
 fn polycams_raw_folder_is_read() {
-    let mut files = moved(&nerfstudio(|_| ()), |name| name.replace("images/", "keyframes/images/"));
-    files.remove("transforms.json");
-    // Polycam's world has +Y up.
-    for i in 0..6 {
-        let rows = camera(i).to_opengl().transpose().to_cols_array_2d();
-        let mut fields = json!({"fx": 9.0, "fy": 9.5, "cx": 4.0, "cy": 3.0, "width": 8, "height": 6});
-        for (row, from) in [(0, 1), (1, 2), (2, 0)] {
-            (0..4).for_each(|k| fields[format!("t_{row}{k}")] = json!(rows[from][k]));
-        }
-        files.insert(format!("keyframes/cameras/{i}.json"), fields.to_string().into_bytes());
-        files.insert(format!("keyframes/depth/{i}.png"), files["keyframes/images/0.png"].clone());
-    }
+    let mut files = polycam();
     let capture = import_folder(&files).unwrap();
     assert_eq!((capture.layout.as_str(), cameras(&capture).len()), ("polycam", 6));
     for (i, (_, camera)) in cameras(&capture).iter().enumerate() {
