@@ -11,7 +11,7 @@ use crate::selection::{self, IgnoredFile, Selection};
 use crate::{CaptureError, CaptureFiles, ImportLimits, images, layout};
 
 /// Bytes at the start of a file that tell whether it is a HEIC picture.
-const HEIF_START: u64 = 64;
+const HEIF_START: u64 = 1024;
 
 /// The photographs of a folder or an archive without poses.
 #[derive(Debug)]
@@ -67,10 +67,14 @@ impl PhotosWithoutPoses {
         &self.ignored
     }
 
+    /// Whether a photograph is a HEIC or AVIF picture, by its content.
+    pub(super) fn is_heif(&self, name: &str) -> bool {
+        self.photos.get(name).is_some_and(|photo| photo.is_heif)
+    }
+
     /// The name that a photograph has in a capture made of the photographs: HEIC and AVIF pictures become JPEG files.
     pub(super) fn converted_name(&self, name: &str) -> String {
-        let is_heif = self.photos.get(name).is_some_and(|photo| photo.is_heif);
-        if is_heif { format!("{name}.jpg") } else { name.to_owned() }
+        if self.is_heif(name) { format!("{name}.jpg") } else { name.to_owned() }
     }
 
     /// The limits that [`Self::open`] was given.
@@ -140,6 +144,21 @@ mod tests {
         );
         let pair = |a: &str, b: &str| (a.to_owned(), b.to_owned());
         assert_eq!(masks, [pair("masks/a.png", "images/a.JPG"), pair("images/b_mask.png", "images/b.png")]);
+    }
+
+    #[test]
+    fn phone_pictures_with_many_brands_are_recognised() {
+        let folder = tempfile::TempDir::new().unwrap();
+        // The brand of a picture is the last one.
+        for (name, brands) in [("few.heic", 4), ("many.heic", 60), ("clip.jpg", 60)] {
+            let last = if name == "clip.jpg" { b"mp42" } else { b"heic" };
+            let brands = [b"abcd\0\0\0\0".to_vec(), b"isom".repeat(brands), last.to_vec()].concat();
+            let start = [&(brands.len() as u32 + 8).to_be_bytes()[..], b"ftyp", &brands, &[0; 2000]].concat();
+            std::fs::write(folder.path().join(name), start).unwrap();
+        }
+        let found = PhotosWithoutPoses::open(folder.path(), &ImportLimits::default()).unwrap().unwrap();
+        let names = ["few.heic", "many.heic", "clip.jpg"].map(|name| found.converted_name(name));
+        assert_eq!(names, ["few.heic.jpg", "many.heic.jpg", "clip.jpg"]);
     }
 
     #[test]

@@ -8,6 +8,10 @@ use crate::{CaptureError, CaptureFiles, images};
 
 /// File extensions of photographs.
 const PHOTOGRAPHS: [&str; 10] = ["jpg", "jpeg", "png", "tif", "tiff", "webp", "heic", "heif", "hif", "avif"];
+/// File extensions of phone pictures, which need an installed converter.
+const PHONE_PICTURES: [&str; 4] = ["heic", "heif", "hif", "avif"];
+/// File extensions of copies of phone pictures.
+const PHONE_COPIES: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
 /// File extensions of camera raw files.
 const RAWS: [&str; 16] = [
     "dng", "cr2", "cr3", "crw", "nef", "nrw", "arw", "sr2", "raf", "orf", "rw2", "pef", "srw", "x3f", "3fr",
@@ -67,6 +71,7 @@ const IS_RAW: &str = "is a camera raw file; develop it to JPEG, PNG or 16-bit TI
 const IS_UNREAD: &str =
     "is an image of a kind that Relume does not read; convert it to PNG or JPEG to use it";
 const IS_MAP: &str = "is a depth or confidence map";
+const IS_PHONE_COPY: &str = "is a HEIC or AVIF picture beside a JPEG, PNG or TIFF of the same name";
 const IS_REDUCED: &str = "is a reduced copy of a photograph";
 const IS_UNCORRECTED: &str = "is the uncorrected copy of a photograph in corrected_images";
 const IS_RESULT: &str = "is in a folder of results, plots or documents";
@@ -120,17 +125,20 @@ pub(super) fn select(source: &CaptureFiles) -> Result<Selection, CaptureError> {
             }
         }
     };
-    for reason_of in [map_reason, copy_reason] {
-        let keys: BTreeSet<String> = candidates.iter().map(|path| key(path)).collect();
-        let found = candidates.iter().filter_map(|path| Some((*path, reason_of(path, &keys)?))).collect();
+    for reason_of in [map_reason, phone_reason, copy_reason] {
+        let keys = keys_of(&candidates);
+        let mut found = Vec::new();
+        for path in &candidates {
+            found.extend(reason_of(source, path, &keys)?.map(|reason| (*path, reason)));
+        }
         drop(&mut candidates, found);
     }
     let found = others(source, &candidates)?;
     drop(&mut candidates, found);
-    let keys: BTreeSet<String> = candidates.iter().map(|path| key(path)).collect();
+    let keys = keys_of(&candidates);
     for path in source.paths() {
         let reason = match path {
-            _ if is_raw(path) && keys.contains(&key(path)) => IS_RAW_COPY,
+            _ if is_raw(path) && keys.contains_key(&key(path)) => IS_RAW_COPY,
             _ if is_raw(path) => IS_RAW,
             _ if has_ending(path, &UNREAD) => IS_UNREAD,
             _ if POSE_FILES.contains(&file_name(path).as_str()) => HAS_POSES,
@@ -162,40 +170,90 @@ fn key(path: &str) -> String {
     stem(path).to_lowercase()
 }
 
-/// Whether a file is a map of depth or confidence: by its folder, or by its name beside a photograph. `keys` are those of all
-/// candidates.
-fn map_reason(path: &str, keys: &BTreeSet<String>) -> Option<&'static str> {
+/// The candidates by their [`key`].
+type Keys<'a> = BTreeMap<String, Vec<&'a str>>;
+
+fn keys_of<'a>(candidates: &BTreeSet<&'a str>) -> Keys<'a> {
+    let mut keys = Keys::new();
+    for path in candidates {
+        keys.entry(key(path)).or_default().push(path);
+    }
+    keys
+}
+
+/// The reason why a candidate is no photograph, if there is one.
+type Reason = Result<Option<&'static str>, CaptureError>;
+
+/// Whether a file is a map of depth or confidence: by its folder, or by its name beside a photograph.
+fn map_reason(_: &CaptureFiles, path: &str, keys: &Keys<'_>) -> Reason {
     let key = key(path);
     let in_folder = key.split('/').rev().skip(1).any(|folder| MAP_FOLDERS.contains(&folder));
     let has_photo =
-        || MAP_SUFFIXES.iter().any(|end| key.strip_suffix(end).is_some_and(|photo| keys.contains(photo)));
-    (in_folder || has_photo()).then_some(IS_MAP)
+        || MAP_SUFFIXES.iter().any(|end| key.strip_suffix(end).is_some_and(|photo| keys.contains_key(photo)));
+    Ok((in_folder || has_photo()).then_some(IS_MAP))
 }
 
-/// Whether a file is a copy of a photograph in another folder: `images_4` beside `images`, `images` beside
-/// `corrected_images`.
-fn copy_reason(path: &str, keys: &BTreeSet<String>) -> Option<&'static str> {
+/// Whether a file is a HEIC or AVIF picture with a copy of another kind beside it: `IMG_1.JPG` or `IMG_1.HEIC.jpg` beside
+/// `IMG_1.HEIC`. The copy is used, because it needs no converter.
+fn phone_reason(_: &CaptureFiles, path: &str, keys: &Keys<'_>) -> Reason {
+    let is_copy = |other: &&str| has_ending(other, &PHONE_COPIES);
+    let has_copy = |key: String| keys.get(&key).is_some_and(|paths| paths.iter().any(is_copy));
+    let is_phone_copy =
+        has_ending(path, &PHONE_PICTURES) && (has_copy(key(path)) || has_copy(path.to_lowercase()));
+    Ok(is_phone_copy.then_some(IS_PHONE_COPY))
+}
+
+/// Whether a file is a copy of a photograph in another folder: a smaller picture in `images_4` beside `images`, or `images`
+/// beside `corrected_images`.
+fn copy_reason(source: &CaptureFiles, path: &str, keys: &Keys<'_>) -> Reason {
     let key = key(path);
     let parts: Vec<&str> = key.split('/').collect();
-    let replaced = |at: usize, folder: &str| {
+    let with_folder = |at: usize, folder: &str| {
         let parts = parts.iter().enumerate().map(|(i, part)| if i == at { folder } else { part });
         parts.map(str::to_owned).collect::<Vec<_>>()
     };
-    (0..parts.len() - 1).find_map(|at| {
-        if parts[at] == "images" && keys.contains(&replaced(at, "corrected_images").join("/")) {
-            return Some(IS_UNCORRECTED);
+    for at in 0..parts.len() - 1 {
+        if parts[at] == "images" && keys.contains_key(&with_folder(at, "corrected_images").join("/")) {
+            return Ok(Some(IS_UNCORRECTED));
         }
-        let (folder, factor) = parts[at].rsplit_once('_')?;
-        let is_factor = factor.parse::<u32>().is_ok_and(|factor| (2..=64).contains(&factor));
-        if !is_factor || !PHOTO_FOLDERS.contains(&folder) {
-            return None;
+        let Some(folder) = reduced_folder(parts[at]) else { continue };
+        let original = with_folder(at, folder);
+        let original = match keys.get(&original.join("/")) {
+            // Some programs rename the reduced copies of the folder `images`.
+            None if folder == "images" => first_below(keys, &original[..=at].join("/")),
+            named => named.and_then(|paths| paths.first().copied()),
+        };
+        if let Some(original) = original
+            && is_smaller(source, path, original)?
+        {
+            return Ok(Some(IS_REDUCED));
         }
-        // Some programs rename the reduced copies of the folder `images`.
-        let folder_path = format!("{}/", replaced(at, folder)[..=at].join("/"));
-        let has_original = keys.contains(&replaced(at, folder).join("/"))
-            || (folder == "images" && keys.iter().any(|key| key.starts_with(&folder_path)));
-        has_original.then_some(IS_REDUCED)
-    })
+    }
+    Ok(None)
+}
+
+/// The folder of the photographs for a folder of reduced copies: `images` for `images_4`.
+fn reduced_folder(name: &str) -> Option<&str> {
+    let (folder, factor) = name.rsplit_once('_')?;
+    let is_factor = factor.parse::<u32>().is_ok_and(|factor| (2..=64).contains(&factor));
+    (is_factor && PHOTO_FOLDERS.contains(&folder)).then_some(folder)
+}
+
+/// The first candidate in a folder.
+fn first_below<'a>(keys: &Keys<'a>, folder: &str) -> Option<&'a str> {
+    let start = format!("{folder}/");
+    let (key, paths) = keys.range(start.clone()..).next()?;
+    if key.starts_with(&start) { paths.first().copied() } else { None }
+}
+
+/// Whether a picture has fewer pixels than another, by their headers; false if a header cannot be read.
+fn is_smaller(source: &CaptureFiles, path: &str, other: &str) -> Result<bool, CaptureError> {
+    let area = |path: &str| match images::dimensions(source, path) {
+        Ok((width, height)) => Ok(Some(u64::from(width) * u64::from(height))),
+        Err(CaptureError::Image { .. }) => Ok(None),
+        Err(error) => Err(error),
+    };
+    Ok(area(path)?.zip(area(other)?).is_some_and(|(area, other)| area < other))
 }
 
 /// Pictures outside the folder of the photographs that are none: plots, results and documents.
@@ -228,7 +286,9 @@ fn others<'a>(
 /// Whether a picture outside the main folder is no photograph, compared with samples of that folder.
 fn other_reason(path: &str, main: &str, picture: &Picture, samples: &[Picture]) -> Option<&'static str> {
     let folder = folder_of(path);
-    let is_result = |part: &str| RESULT_FOLDERS.contains(&part.to_lowercase().as_str());
+    // `output/bottom` beside `output/top` is a second part of the photographs.
+    let is_shared = |part: &str| main.split('/').any(|other| other.eq_ignore_ascii_case(part));
+    let is_result = |part: &str| RESULT_FOLDERS.contains(&part.to_lowercase().as_str()) && !is_shared(part);
     if folder.split('/').any(is_result) {
         return Some(IS_RESULT);
     }
@@ -239,7 +299,10 @@ fn other_reason(path: &str, main: &str, picture: &Picture, samples: &[Picture]) 
     if picture.is_grey && samples.iter().all(|sample| !sample.is_grey) {
         return Some(IS_GREY);
     }
-    let has_other_size = samples.iter().all(|sample| sample.sides != picture.sides);
+    // A size that is not within the first bytes of a file is unknown.
+    let mut known = samples.iter().filter_map(|sample| sample.sides).peekable();
+    let has_other_size =
+        picture.sides.is_some_and(|sides| known.peek().is_some() && known.all(|other| other != sides));
     let is_above = folder.is_empty() || main.starts_with(&format!("{folder}/"));
     let lacks_camera = !picture.has_camera && samples.iter().all(|sample| sample.has_camera);
     (has_other_size && (is_above || lacks_camera)).then_some(HAS_OTHER_SIZE)
@@ -296,16 +359,44 @@ mod tests {
         (path.to_owned(), reason)
     }
 
+    fn of_size(width: u32, height: u32) -> Vec<u8> {
+        encode_png(width, height, &vec![[1u8, 2, 3]; (width * height) as usize]).unwrap()
+    }
+
     #[test]
     fn reduced_copies_of_photographs_are_ignored() {
-        let (photos, ignored) =
-            selected(&["images/a.jpg", "images/b.jpg", "images_2/a.jpg", "images_8/image000.png"], &[]);
-        assert_eq!(photos, ["images/a.jpg", "images/b.jpg"]);
+        let files = ["images/a.jpg", "images/b.jpg"];
+        let copies = [("images_2/a.jpg", of_size(4, 3)), ("images_8/image000.png", of_size(1, 1))];
+        let (photos, ignored) = selected(&files, &copies);
+        assert_eq!(photos, files);
         assert_eq!(ignored, [pair("images_2/a.jpg", IS_REDUCED), pair("images_8/image000.png", IS_REDUCED)]);
         let (photos, ignored) = selected(&["x/images_4/a.jpg", "x/images_4/b.jpg"], &[]);
         assert_eq!((photos.len(), ignored.len()), (2, 0), "the control: there is no larger copy");
         let (photos, _) = selected(&["day_2/a.jpg", "day/a.jpg"], &[]);
         assert_eq!(photos.len(), 2, "the control: other photographs");
+    }
+
+    #[test]
+    fn second_session_of_equal_size_is_no_reduced_copy() {
+        let files = ["images/a.jpg", "images/b.jpg", "images_2/a.jpg", "images_3/c.jpg"];
+        let (photos, ignored) = selected(&files, &[("images_2/b.jpg", of_size(6, 8))]);
+        assert_eq!((photos.len(), ignored), (5, vec![]));
+        let (_, ignored) = selected(&files, &[("images_2/b.jpg", of_size(4, 3))]);
+        assert_eq!(ignored, [pair("images_2/b.jpg", IS_REDUCED)], "the control");
+        let (photos, _) = selected(&files, &[("images_2/b.jpg", b"damaged".to_vec())]);
+        assert_eq!(photos.len(), 5, "a file without a size is not dropped");
+    }
+
+    #[test]
+    fn phone_pictures_beside_their_copies_are_ignored() {
+        let files =
+            ["IMG_1.HEIC", "IMG_1.JPG", "b/IMG_2.HEIC", "b/IMG_2.HEIC.jpg", "IMG_3.avif", "img_3.png"];
+        let (photos, ignored) = selected(&files, &[]);
+        assert_eq!(photos, ["IMG_1.JPG", "b/IMG_2.HEIC.jpg", "img_3.png"]);
+        let copies = ["IMG_1.HEIC", "IMG_3.avif", "b/IMG_2.HEIC"];
+        assert_eq!(ignored, copies.map(|path| pair(path, IS_PHONE_COPY)));
+        let files = ["IMG_1.HEIC", "b/IMG_1.JPG", "IMG_2.heic", "IMG_2.webp", "IMG_3.HEIC", "IMG_30.JPG"];
+        assert_eq!(selected(&files, &[]).1, [], "the control: no copies");
     }
 
     #[test]
@@ -349,7 +440,6 @@ mod tests {
     fn plots_outside_the_folder_of_the_photographs_are_ignored() {
         let files: Vec<String> = (0..14).map(|i| format!("images/{i:02}.png")).collect();
         let files: Vec<&str> = files.iter().map(String::as_str).collect();
-        let of_size = |w: u32, h: u32| encode_png(w, h, &vec![[1u8, 2, 3]; (w * h) as usize]).unwrap();
         let grey = encode_png(8, 6, &[[1u8]; 48]).unwrap();
         for (path, bytes, reason) in [
             ("results/plot.png", of_size(8, 6), Some(IS_RESULT)),
@@ -359,6 +449,7 @@ mod tests {
             ("images/00b.png", of_size(9, 6), None),
             ("other/upright.png", of_size(6, 8), None),
             ("closeups/a.png", of_size(9, 6), None),
+            ("plot.png", b"no picture".to_vec(), None),
         ] {
             let (photos, ignored) = selected(&files, &[(path, bytes)]);
             assert_eq!(
@@ -370,5 +461,15 @@ mod tests {
         }
         let (photos, ignored) = selected(&["a/1.png", "a/2.png", "results/3.png"], &[]);
         assert_eq!((photos.len(), ignored.len()), (3, 0), "the control: no clear majority");
+    }
+
+    #[test]
+    fn folders_shared_with_the_photographs_are_no_results() {
+        let files: Vec<String> = (0..14).map(|i| format!("day/output/top/{i:02}.png")).collect();
+        let mut files: Vec<&str> = files.iter().map(String::as_str).collect();
+        files.extend(["day/output/bottom/1.png", "night/Output/2.png"]);
+        assert_eq!(selected(&files, &[]).1, []);
+        files.push("day/output/plots/3.png");
+        assert_eq!(selected(&files, &[]).1.len(), 1, "the control");
     }
 }

@@ -14,6 +14,8 @@ use crate::formats::chromaticities::ToRec709;
 
 /// Longest accepted header, bytes.
 const MAX_HEADER: usize = 1 << 16;
+/// Greatest number of notes on ignored lines.
+const MAX_NOTES: usize = 8;
 
 /// A picture read from a file.
 #[derive(Debug, Clone, PartialEq)]
@@ -159,8 +161,14 @@ impl RadianceHeader {
             "FORMAT" if value != "32-bit_rle_rgbe" => {
                 Err(unsupported(line, "is not a format of Radiance pictures"))
             }
-            "EXPOSURE" => self.multiply(line, value, 1),
-            "COLORCORR" => self.multiply(line, value, 3),
+            "EXPOSURE" => {
+                self.multiply(line, value, 1);
+                Ok(())
+            }
+            "COLORCORR" => {
+                self.multiply(line, value, 3);
+                Ok(())
+            }
             "PRIMARIES" => self.read_primaries(line, value),
             "GAMMA" if value.parse() != Ok(1.0) => {
                 self.notes
@@ -171,15 +179,19 @@ impl RadianceHeader {
         }
     }
 
-    /// Multiplies the gain by the numbers of a line: one for all channels, or one for each.
-    fn multiply(&mut self, line: &str, value: &str, count: usize) -> Result<(), ImageFileError> {
-        let factors =
-            numbers(value).filter(|f| f.len() == count && f.iter().all(|f| *f > 0.0 && f.is_finite()));
-        let Some(factors) = factors else {
-            return Err(unsupported(line, &format!("must have {count} number(s) above 0")));
-        };
-        self.gain = std::array::from_fn(|c| self.gain[c] * factors[c % count]);
-        Ok(())
+    /// Multiplies the gain by the numbers of a line: one for all channels, or one for each. An unusable line is ignored with a
+    /// note; so is one that makes the gain 0 or infinite.
+    fn multiply(&mut self, line: &str, value: &str, count: usize) {
+        let factors = numbers(value).filter(|factors| factors.len() == count);
+        let product = factors.map(|factors| std::array::from_fn(|c| self.gain[c] * factors[c % count]));
+        match product.filter(|gain: &[f64; 3]| gain.iter().all(|gain| *gain > 0.0 && gain.is_finite())) {
+            Some(gain) => self.gain = gain,
+            None if self.notes.len() < MAX_NOTES => self.notes.push(format!(
+                "the line {} was ignored: it must have {count} number(s) above 0",
+                quoted(line)
+            )),
+            None => {}
+        }
     }
 
     fn read_primaries(&mut self, line: &str, value: &str) -> Result<(), ImageFileError> {
@@ -320,14 +332,38 @@ mod tests {
     }
 
     #[test]
+    fn unusable_exposures_are_ignored_with_a_note() {
+        let lines = [
+            "EXPOSURE=0",
+            "EXPOSURE=x",
+            "EXPOSURE=-1",
+            "EXPOSURE=inf",
+            "EXPOSURE=nan",
+            "EXPOSURE=",
+            "COLORCORR=1 1",
+            "COLORCORR=1 -1 -1",
+        ];
+        for line in lines {
+            let header = format!("#?RADIANCE\nEXPOSURE=2\n{line}\n\n-Y 2 +X 3\n");
+            let picture = decode(&file(&header)).unwrap();
+            assert_eq!(picture.texels[1], [1.0, 64.0, 32.0], "{line}: the usable line remains");
+            assert!(picture.notes[0].contains(line) && picture.notes[0].contains("ignored"), "{line}");
+        }
+        let tiny = "EXPOSURE=1e-200\n".repeat(2);
+        let picture = decode(&file(&format!("#?RADIANCE\n{tiny}\n-Y 2 +X 3\n"))).unwrap();
+        assert!(picture.notes[0].contains("ignored"), "a product of 0: {:?}", picture.notes);
+        let many = "EXPOSURE=0\n".repeat(1000);
+        let picture = decode(&file(&format!("#?RADIANCE\n{many}\n-Y 2 +X 3\n"))).unwrap();
+        assert_eq!(picture.notes.len(), MAX_NOTES);
+        let plain = decode(&file("#?RADIANCE\nEXPOSURE=1\n\n-Y 2 +X 3\n")).unwrap();
+        assert_eq!(plain.notes, Vec::<String>::new(), "the control");
+    }
+
+    #[test]
     fn unsupported_lines_are_named() {
         let with = |line: &str| refused(&format!("#?RADIANCE\n{line}\n\n-Y 2 +X 3\n"));
         assert!(with("FORMAT=32-bit_rle_xyze").contains("CIE XYZ"));
         assert!(with("FORMAT=8-bit").contains("FORMAT=8-bit"));
-        for line in ["EXPOSURE=0", "EXPOSURE=x", "EXPOSURE=-1", "EXPOSURE=inf", "EXPOSURE=", "COLORCORR=1 1"]
-        {
-            assert!(with(line).contains(line), "{line}");
-        }
         assert!(with("PRIMARIES=1 2 3").contains("8 numbers"));
         assert!(with("PRIMARIES=1 1 1 1 1 1 1 1").contains("defines no colours"));
         for line in ["-Y 2 +Y 3", "-Y 0 +X 3", "-Y 2", "-Y 99999999999 +X 3", "-Z 2 +X 3", ""] {

@@ -8,6 +8,8 @@ const SUB_IFDS: u16 = 330;
 const DNG_VERSION: u16 = 50_706;
 /// Photometric interpretations of raw data: colour filter array, linear raw.
 const RAW_PHOTOMETRICS: [u32; 2] = [32_803, 34_892];
+/// Position of the first directory of a CR2 file, after its own header.
+const CR2_DIRECTORY: u32 = 16;
 /// Greatest number of entries of a directory that are read.
 const MAX_ENTRIES: usize = 1024;
 
@@ -32,7 +34,8 @@ pub(super) fn recognise(bytes: &[u8]) -> Option<&'static str> {
         return Some("CR3");
     }
     let tiff = Tiff::open(bytes)?;
-    if bytes.get(8..10) == Some(b"CR") {
+    // The version follows the letters; a plain TIFF file may have any bytes there.
+    if bytes.get(8..12) == Some(b"CR\x02\0") && tiff.long(4) == Some(CR2_DIRECTORY) {
         return Some("CR2");
     }
     let entries = tiff.first_directory();
@@ -121,6 +124,9 @@ mod tests {
     fn plain_tiff_files_are_no_raw_files() {
         assert_eq!(recognise(&tiff(&[(NEW_SUBFILE_TYPE, 0), (PHOTOMETRIC, 2)])), None);
         assert_eq!(recognise(&tiff(&[(NEW_SUBFILE_TYPE, 0), (SUB_IFDS, 90)])), None, "a pyramid");
+        for plain in [&b"II*\0\x40\0\0\0CR\x02\0"[..], b"II*\0\x10\0\0\0CRAB", b"II*\0\x10\0\0\0CR"] {
+            assert_eq!(recognise(plain), None, "no CR2: {plain:?}");
+        }
         let dng = tiff(&[(DNG_VERSION, 1)]);
         for length in 0..dng.len() {
             assert_eq!(recognise(&dng[..length]), None, "{length} bytes");

@@ -2,6 +2,7 @@
 
 use std::ffi::OsStr;
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -49,9 +50,10 @@ pub fn is_clip(path: &Path) -> bool {
     ENDINGS.contains(&ending.as_str()) && path.is_file()
 }
 
-/// Writes the sharpest frame of each interval of `clip`, upright and with a standard dynamic range, as `0001.jpg` and so on into the folder `into`,
-/// which must not exist. Returns the number of frames. The folder appears when it is complete; it includes ffmpeg's
-/// output as `ffmpeg.log`.
+/// Writes the sharpest frame of each interval of `clip`, upright and with a standard dynamic range, as `0001.jpg` and so on
+/// into the folder `into`, which must not exist. Returns the number of frames. The folder appears when it is complete; it
+/// includes ffmpeg's output as `ffmpeg.log`. If ffmpeg lacks the filters for the high dynamic range of a clip, the colours are
+/// not converted, and `ffmpeg.log` has a warning.
 ///
 /// # Errors
 /// [`PoseError`]. Partial results and the log remain in a folder named `into` plus `.part`, which the next call
@@ -72,11 +74,13 @@ pub fn frames_of_clip(
     fs::create_dir_all(&part).map_err(PoseError::io(&part))?;
     let part = part.canonicalize().map_err(PoseError::io(&part))?;
     let (facts, seconds) = probe(&clip, &part, options, run_control)?;
-    if let Some(range) = facts.high_range() {
-        check_tone_mapping(&clip, &part, range, options, run_control)?;
-    }
+    let maps_tones = match facts.high_range() {
+        Some(range) => can_map_tones(&part, range, options, run_control)?,
+        None => false,
+    };
     let plan = FramePlan::new(options.frames, seconds, facts.frame_count(seconds));
-    let candidates = extract(&clip, &part, &plan, &facts, options, run_control)?;
+    let filters = format!("{},{}", plan.filters(), facts.colour_filters(maps_tones));
+    let candidates = extract(&clip, &part, &plan, &filters, options, run_control)?;
     let chosen = sharpest(&candidates, plan.candidates)?;
     for (index, candidate) in chosen.iter().enumerate() {
         let name = part.join(format!("{:04}.jpg", index + 1));
@@ -171,14 +175,13 @@ fn unusable(clip: &Path, reason: &str) -> PoseError {
     CaptureError::File { file: clip.display().to_string(), reason: reason.to_owned() }.into()
 }
 
-/// Checks that ffmpeg has the filters for a clip with a high dynamic range.
-fn check_tone_mapping(
-    clip: &Path,
+/// Whether ffmpeg has the filters that map the tones of a high dynamic range. Without them, adds a warning to the log.
+fn can_map_tones(
     part: &Path,
     range: HighRange,
     options: &ClipOptions,
     run_control: &mut RunControl<'_>,
-) -> Result<(), PoseError> {
+) -> Result<bool, PoseError> {
     let log = part.join("ffmpeg.log");
     let ffmpeg = external(&options.ffmpeg, &log, None);
     let mut found = [("zscale", false), ("tonemap", false)];
@@ -190,16 +193,14 @@ fn check_tone_mapping(
             .filter(|(filter, _)| name == Some(filter))
             .for_each(|(_, is_there)| *is_there = true);
     })?;
-    match found.iter().find(|(_, is_there)| !is_there) {
-        None => Ok(()),
-        Some((filter, _)) => {
-            let reason = format!(
-                "is a clip with a high dynamic range ({range:?}), and this ffmpeg has no filter `{filter}`: install a complete \
-                 ffmpeg, or save the clip with a standard dynamic range"
-            );
-            Err(unusable(clip, &reason))
-        }
-    }
+    let Some((filter, _)) = found.iter().find(|(_, is_there)| !is_there) else { return Ok(true) };
+    let warning = format!(
+        "warning: the clip has a high dynamic range ({range:?}), and this ffmpeg has no filter `{filter}`: the frames have wrong \
+         colours; install a complete ffmpeg, or save the clip with a standard dynamic range"
+    );
+    let mut file = fs::OpenOptions::new().append(true).open(&log).map_err(PoseError::io(&log))?;
+    writeln!(file, "{warning}").map_err(PoseError::io(&log))?;
+    Ok(false)
 }
 
 /// Frames of the clip in order: those that are compared for each interval.
@@ -207,17 +208,16 @@ fn extract(
     clip: &Path,
     part: &Path,
     plan: &FramePlan,
-    facts: &ClipFacts,
+    filters: &str,
     options: &ClipOptions,
     run_control: &mut RunControl<'_>,
 ) -> Result<Vec<PathBuf>, PoseError> {
     let log = part.join("ffmpeg.log");
     // ffmpeg runs in the folder, because it would read a percent sign in the folder's path as a number pattern.
     let ffmpeg = external(&options.ffmpeg, &log, Some(part));
-    let filters = format!("{},{}", plan.filters(), facts.colour_filters());
     let (rate, most) = (OUTPUT_RATE.to_string(), plan.total().to_string());
     let before = ["-nostdin", "-hide_banner", "-nostats", "-progress", "pipe:1", "-i"].map(OsStr::new);
-    let after = ["-vf", &filters, "-r", &rate, "-frames:v", &most, "-q:v", "2", "candidate_%06d.jpg"];
+    let after = ["-vf", filters, "-r", &rate, "-frames:v", &most, "-q:v", "2", "candidate_%06d.jpg"];
     let total = plan.total() as u64;
     ffmpeg.run(
         &[&before[..], &[clip.as_os_str()], &after.map(OsStr::new)].concat(),
@@ -296,6 +296,53 @@ mod tests {
             let plan = FramePlan::new(80, 6.0, frames);
             assert!(plan.total() <= frames && plan.step * plan.total() as f64 <= 6.0 + 1e-9, "{plan:?}");
         }
+    }
+
+    /// The frames of a clip with the transfer function `transfer`, by stand-ins for ffprobe and for an ffmpeg with these
+    /// filters: the log with the arguments.
+    #[cfg(unix)]
+    fn log_of_clip(transfer: &str, filters: &str) -> String {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::TempDir::new().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let program = |name: &str, text: String| {
+            fs::write(at(name), format!("#!/bin/sh\n{text}\n")).unwrap();
+            fs::set_permissions(at(name), fs::Permissions::from_mode(0o755)).unwrap();
+            at(name)
+        };
+        fs::write(at("frame.jpg"), encode_jpeg(16, 16, &[[90; 3]; 256], 90).unwrap()).unwrap();
+        fs::write(at("clip.mp4"), "a clip").unwrap();
+        let frame = at("frame.jpg").display().to_string();
+        let options = ClipOptions {
+            ffprobe: program(
+                "ffprobe",
+                format!("echo color_transfer={transfer}; echo duration=1; echo nb_frames=1"),
+            ),
+            ffmpeg: program(
+                "ffmpeg",
+                format!(
+                    "case \"$*\" in *-filters*) for f in {filters}; do echo \" .. $f V->V\"; done;; \
+                     *) echo \"$@\"; cp {frame} candidate_000001.jpg;; esac"
+                ),
+            ),
+            frames: 3,
+        };
+        let mut ignored = |_| {};
+        let mut run_control = RunControl::new(std::time::Duration::from_secs(600), &mut ignored, &|| false);
+        assert_eq!(frames_of_clip(&at("clip.mp4"), &at("frames"), &options, &mut run_control).unwrap(), 1);
+        fs::read_to_string(at("frames/ffmpeg.log")).unwrap()
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn hdr_clips_are_read_without_the_filters_with_a_warning() {
+        let warned = |log: &str| log.contains("warning") && log.contains("zscale") && log.contains("Hlg");
+        let log = log_of_clip("arib-std-b67", "scale tonemap");
+        assert!(warned(&log) && log.contains("scale=in_color_matrix") && !log.contains("mobius"), "{log}");
+        let log = log_of_clip("arib-std-b67", "scale tonemap zscale");
+        assert!(!warned(&log) && log.contains("mobius"), "the control: {log}");
+        let log = log_of_clip("bt709", "scale");
+        assert!(!log.contains("warning") && log.contains("scale=in_color_matrix"), "the control: {log}");
     }
 
     /// Makes a clip with ffmpeg and returns its frames, as decoded pictures.

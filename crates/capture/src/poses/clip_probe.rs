@@ -76,10 +76,11 @@ impl ClipFacts {
     /// The filters of ffmpeg that make a full-range picture with the colour matrix of JPEG (BT.601) and the curve of a
     /// standard dynamic range.
     ///
-    /// High dynamic range is tone-mapped to the primaries of BT.709: the reference white of 203 cd/m² (ITU-R BT.2408) becomes
-    /// white, and the range above 70 % of it is compressed.
-    pub(super) fn colour_filters(&self) -> String {
-        match self.high_range() {
+    /// If `maps_tones`, a high dynamic range is tone-mapped to the primaries of BT.709: the reference white of 203 cd/m² (ITU-R
+    /// BT.2408) becomes white, and the range above 70 % of it is compressed. Else its values are taken as those of a standard
+    /// dynamic range.
+    pub(super) fn colour_filters(&self, maps_tones: bool) -> String {
+        match self.high_range().filter(|_| maps_tones) {
             Some(_) => "zscale=transfer=linear:npl=203,format=gbrpf32le,zscale=primaries=bt709,\
                         tonemap=mobius:param=0.7:desat=0,\
                         zscale=transfer=iec61966-2-1:matrix=170m:range=full,format=yuvj420p"
@@ -130,7 +131,8 @@ mod tests {
         assert_eq!((hlg.frame_count(6.006), hlg.high_range()), (180, Some(HighRange::Hlg)));
         let pq = facts(&["color_transfer=smpte2084", "nb_frames=48", "avg_frame_rate=0/0", "duration=N/A"]);
         assert_eq!((pq.frame_count(9.0), pq.high_range(), pq.seconds), (48, Some(HighRange::Pq), None));
-        assert!(pq.colour_filters().contains("tonemap"));
+        assert!(pq.colour_filters(true).contains("tonemap"));
+        assert!(!pq.colour_filters(false).contains("zscale"), "without the filters");
         assert_eq!(facts(&["a video", "color_transfer=bt709"]).high_range(), None);
     }
 
@@ -140,6 +142,6 @@ mod tests {
         assert_eq!(matrix(&["color_space=bt709", "height=240"]), "bt709");
         assert_eq!(matrix(&["color_space=unknown", "height=1080"]), "bt709");
         assert_eq!(matrix(&["color_space=unknown", "height=480"]), "bt601");
-        assert!(!facts(&["height=1080"]).colour_filters().contains("tonemap"));
+        assert!(!facts(&["height=1080"]).colour_filters(true).contains("tonemap"));
     }
 }

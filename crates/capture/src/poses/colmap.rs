@@ -71,7 +71,7 @@ pub fn find_poses(
     options: &PoseOptions,
     run_control: &mut RunControl<'_>,
 ) -> Result<PoseResult, PoseError> {
-    let workspace = Workspace::fill(into, photographs)?;
+    let workspace = Workspace::fill(into, photographs, run_control)?;
     let already_present = workspace.is_done();
     if !already_present {
         let colmap = Colmap::open(&workspace, options, run_control)?;

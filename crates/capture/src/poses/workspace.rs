@@ -6,8 +6,12 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::error::PoseError;
-use crate::formats::{image_file, is_heif};
+use super::run_control::RunControl;
+use crate::formats::image_file;
 use crate::{CaptureError, PhotosWithoutPoses, masks};
+
+/// Number of photographs that are copied at once. The work can be cancelled between two such groups.
+const GROUP: usize = 2;
 
 /// The folder of an unfinished capture.
 pub(super) struct Workspace {
@@ -18,8 +22,13 @@ impl Workspace {
     /// Creates `root` and copies photographs and masks into it. The results of an earlier run are kept.
     ///
     /// # Errors
-    /// [`PoseError::FolderNotEmpty`] if the folder contains other photographs.
-    pub(super) fn fill(root: &Path, photographs: &PhotosWithoutPoses) -> Result<Self, PoseError> {
+    /// [`PoseError::FolderNotEmpty`] if the folder contains other photographs; [`PoseError::Cancelled`] between two
+    /// photographs.
+    pub(super) fn fill(
+        root: &Path,
+        photographs: &PhotosWithoutPoses,
+        run_control: &RunControl<'_>,
+    ) -> Result<Self, PoseError> {
         let workspace = Self { root: root.to_owned() };
         let wanted: Vec<PathBuf> = photographs
             .photos()
@@ -37,13 +46,17 @@ impl Workspace {
             return Err(PoseError::FolderNotEmpty(root.to_owned()));
         }
         let names: Vec<&str> = photographs.photos().collect();
-        let copied: Vec<_> =
-            names.par_iter().zip(&wanted).map(|(name, file)| copy(photographs, name, file)).collect();
-        copied.into_iter().collect::<Result<(), _>>().map_err(|error| match error {
-            PoseError::FolderNotEmpty(_) => PoseError::FolderNotEmpty(root.to_owned()),
-            other => other,
-        })?;
+        for (names, files) in names.chunks(GROUP).zip(wanted.chunks(GROUP)) {
+            check_cancelled(run_control)?;
+            let copied: Vec<_> =
+                names.par_iter().zip(files).map(|(name, file)| copy(photographs, name, file)).collect();
+            copied.into_iter().collect::<Result<(), _>>().map_err(|error| match error {
+                PoseError::FolderNotEmpty(_) => PoseError::FolderNotEmpty(root.to_owned()),
+                other => other,
+            })?;
+        }
         for (mask, of) in photographs.masks() {
+            check_cancelled(run_control)?;
             let png = masks::as_png(mask, photographs.read(&mask.path)?)?;
             let name = format!("{}.png", photographs.converted_name(of));
             keep(&root.join("masks").join(name), &png)?;
@@ -90,12 +103,20 @@ impl Workspace {
     }
 }
 
-/// Copies a photograph; COLMAP reads neither HEIC nor AVIF, so these become JPEG files.
+fn check_cancelled(run_control: &RunControl<'_>) -> Result<(), PoseError> {
+    if (run_control.is_cancelled)() { Err(PoseError::Cancelled) } else { Ok(()) }
+}
+
+/// Copies a photograph; COLMAP reads neither HEIC nor AVIF, so these become JPEG files. A file that an earlier run converted
+/// is kept, because a conversion takes long and another version of the converter writes other bytes.
 fn copy(photographs: &PhotosWithoutPoses, name: &str, file: &Path) -> Result<(), PoseError> {
-    let bytes = photographs.read(name)?;
-    if !is_heif(&bytes) {
-        return keep(file, &bytes);
+    if !photographs.is_heif(name) {
+        return keep(file, &photographs.read(name)?);
     }
+    if file.is_file() {
+        return Ok(());
+    }
+    let bytes = photographs.read(name)?;
     let jpeg = image_file::heif_as_jpeg(&bytes, photographs.limits().max_image_pixels);
     keep(file, &jpeg.map_err(|error| CaptureError::image(name, error))?)
 }
@@ -138,6 +159,54 @@ mod tests {
     use crate::ImportLimits;
     use crate::formats::image_file::{decode, encode_png};
 
+    /// [`Workspace::fill`], which asks whether the work is cancelled with `is_cancelled`.
+    fn fill(
+        into: &Path,
+        photographs: &PhotosWithoutPoses,
+        is_cancelled: &dyn Fn() -> bool,
+    ) -> Result<Workspace, PoseError> {
+        let mut ignored = |_| {};
+        let run_control = RunControl::new(std::time::Duration::from_secs(600), &mut ignored, is_cancelled);
+        Workspace::fill(into, photographs, &run_control)
+    }
+
+    #[test]
+    fn copying_ends_between_photographs_when_cancelled() {
+        let (folder, into) = (tempfile::TempDir::new().unwrap(), tempfile::TempDir::new().unwrap());
+        for i in 0..9 {
+            let png = encode_png(4, 3, &[[i, 120, 60]; 12]).unwrap();
+            fs::write(folder.path().join(format!("{i}.png")), png).unwrap();
+        }
+        let photographs = PhotosWithoutPoses::open(folder.path(), &ImportLimits::default()).unwrap().unwrap();
+        let calls = std::cell::Cell::new(0);
+        let on_third_call = || {
+            calls.set(calls.get() + 1);
+            calls.get() == 3
+        };
+        let cancelled = fill(into.path(), &photographs, &on_third_call);
+        assert!(matches!(cancelled, Err(PoseError::Cancelled)));
+        assert_eq!(files_below(into.path()).unwrap().len(), 2 * GROUP);
+        fill(into.path(), &photographs, &|| false).unwrap();
+        assert_eq!(files_below(into.path()).unwrap().len(), 9, "the control: the next run continues");
+    }
+
+    #[test]
+    fn converted_photographs_are_not_converted_again() {
+        let (folder, into) = (tempfile::TempDir::new().unwrap(), tempfile::TempDir::new().unwrap());
+        // The header of a picture without any picture: it cannot be converted.
+        let heic = b"\0\0\0\x14ftypheic\0\0\0\0mif1";
+        fs::write(folder.path().join("IMG_1.HEIC"), heic).unwrap();
+        fs::write(folder.path().join("2.png"), encode_png(4, 3, &[[9u8; 3]; 12]).unwrap()).unwrap();
+        let photographs = PhotosWithoutPoses::open(folder.path(), &ImportLimits::default()).unwrap().unwrap();
+        let error = fill(into.path(), &photographs, &|| false).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains("IMG_1.HEIC"), "the control: {error}");
+        let converted = into.path().join("images/IMG_1.HEIC.jpg");
+        fs::create_dir_all(converted.parent().unwrap()).unwrap();
+        fs::write(&converted, "an earlier conversion").unwrap();
+        fill(into.path(), &photographs, &|| false).unwrap();
+        assert_eq!(fs::read(&converted).unwrap(), b"an earlier conversion");
+    }
+
     #[test]
     #[ignore = "needs heif-enc and heif-convert (Debian: libheif-examples)"]
     fn heic_photographs_become_jpeg_files_with_their_masks() {
@@ -156,7 +225,7 @@ mod tests {
         }
         let photographs = PhotosWithoutPoses::open(folder.path(), &ImportLimits::default()).unwrap().unwrap();
         assert_eq!(photographs.photos().collect::<Vec<_>>(), ["IMG_1.HEIC", "IMG_2.jpg", "a.png"]);
-        let workspace = Workspace::fill(into.path(), &photographs).unwrap();
+        let workspace = fill(into.path(), &photographs, &|| false).unwrap();
         let mut files = files_below(into.path()).unwrap();
         files.sort();
         let names = files.iter().map(|file| file.strip_prefix(into.path()).unwrap().display().to_string());
@@ -174,6 +243,6 @@ mod tests {
         let pixel = decode(&bytes, 1 << 20).unwrap().pixels[0].map(|v| v * 255.0);
         assert!(pixel.iter().zip([200.0, 120.0, 60.0]).all(|(a, b)| (a - b).abs() < 6.0), "{pixel:?}");
         assert!(bytes.starts_with(b"\xff\xd8"), "a JPEG");
-        assert!(Workspace::fill(into.path(), &photographs).is_ok(), "the next run finds equal files");
+        assert!(fill(into.path(), &photographs, &|| false).is_ok(), "the next run finds its files");
     }
 }

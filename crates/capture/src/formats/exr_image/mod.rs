@@ -1,16 +1,15 @@
 //! OpenEXR images as linear Rec.709 RGBA, for photographs and environment maps.
 
+mod pixels;
+
 use std::io::Cursor;
 
 use exr::meta::attribute::Chromaticities;
 use exr::meta::header::Header;
-use exr::prelude::{
-    AnyChannels, FlatSamples, Image, IntegerBounds, Layer, Layers, MetaData, ReadChannels, ReadLayers,
-    WritableImage,
-};
+use exr::prelude::{IntegerBounds, MetaData, WritableImage};
 
 use crate::formats::chromaticities::ToRec709;
-use crate::formats::exr_channels::{self, ColourChannels};
+use crate::formats::exr_channels;
 use crate::formats::{ImageFileError, exr_window};
 
 pub use exr::meta::attribute::EnvironmentMap;
@@ -51,8 +50,25 @@ pub fn dimensions(bytes: &[u8]) -> Result<(u32, u32), ImageFileError> {
     sides(display_window(&meta.headers[colour.part]))
 }
 
-/// Bytes that [`decode`] takes in addition to the file: all parts and channels, and the pixels of the image. From the
-/// header.
+/// Refuses an image of more than `limit` pixels by its header. The larger of data window and display window counts, because
+/// [`decode`] allocates the pixels of both.
+///
+/// # Errors
+/// [`ImageFileError::TooManyPixels`]; else as [`dimensions`].
+pub(super) fn check_size(bytes: &[u8], limit: u64) -> Result<(), ImageFileError> {
+    let meta = checked_header(bytes)?;
+    let header = &meta.headers[exr_channels::find(&meta.headers)?.part];
+    for window in [display_window(header), header.data_window()] {
+        if area(window) > limit {
+            let (width, height) = (window.size.x() as u64, window.size.y() as u64);
+            return Err(ImageFileError::TooManyPixels { width, height, limit });
+        }
+    }
+    Ok(())
+}
+
+/// Bytes that [`decode`] takes in addition to the file: the blocks of the part with the colour, and the pixels of the image.
+/// From the header.
 ///
 /// # Errors
 /// As [`dimensions`].
@@ -60,11 +76,14 @@ pub fn decoded_bytes(bytes: &[u8]) -> Result<u64, ImageFileError> {
     let meta = checked_header(bytes)?;
     let colour = exr_channels::find(&meta.headers)?;
     let header = &meta.headers[colour.part];
-    let parts = meta.headers.iter().map(part_bytes).fold(0u64, u64::saturating_add);
-    let placed =
-        if display_window(header) == header.data_window() { 0 } else { area(display_window(header)) };
-    let pixels = area(header.data_window()).saturating_add(placed).saturating_mul(PIXEL_BYTES);
-    Ok(parts.saturating_add(pixels))
+    Ok(part_bytes(header).saturating_add(pixel_bytes(header)))
+}
+
+/// Bytes of the pixels of the data window, and of the display window if it differs.
+fn pixel_bytes(header: &Header) -> u64 {
+    let (data, display) = (header.data_window(), display_window(header));
+    let placed = if display == data { 0 } else { area(display) };
+    area(data).saturating_add(placed).saturating_mul(PIXEL_BYTES)
 }
 
 fn area(window: IntegerBounds) -> u64 {
@@ -113,22 +132,21 @@ fn checked_header(bytes: &[u8]) -> Result<MetaData, ImageFileError> {
 ///
 /// # Errors
 /// [`ImageFileError::Damaged`] when the file is corrupt; [`ImageFileError::Unsupported`] names the channels that were
-/// found if there is no colour, deep and subsampled data, and a data window outside the display window.
+/// found if there is no colour, deep and subsampled data, a data window outside the display window, and windows whose pixels
+/// take more than 4 GiB.
 pub fn decode(bytes: &[u8]) -> Result<ExrImage, ImageFileError> {
     let meta = checked_header(bytes)?;
     let colour = exr_channels::find(&meta.headers)?;
     let header = &meta.headers[colour.part];
     let (display, data) = (display_window(header), header.data_window());
     let (width, height) = sides(display)?;
-    if area(display).saturating_mul(PIXEL_BYTES) > MAX_DECODED_BYTES {
-        return Err(ImageFileError::Unsupported("has a display window of more than 4 GiB".to_owned()));
+    if pixel_bytes(header) > MAX_DECODED_BYTES {
+        let reason = "has a data window and a display window that take more than 4 GiB";
+        return Err(ImageFileError::Unsupported(reason.to_owned()));
     }
     let mut notes = Vec::new();
     let coverage = exr_window::coverage(data, display)?;
-    let pixels = read_pixels(bytes, &colour)?;
-    if pixels.len() as u64 != area(data) {
-        return Err(ImageFileError::Damaged("its pixels do not fill its data window".to_owned()));
-    }
+    let pixels = pixels::read(bytes, colour)?;
     let mut pixels = exr_window::placed(pixels, data, display);
     if coverage < 1.0 {
         notes.push(format!(
@@ -170,28 +188,6 @@ fn convert(stated: Chromaticities, pixels: &mut [[f32; 4]]) -> Option<String> {
             Some("the attribute chromaticities is unusable; the colours were taken as Rec.709".to_owned())
         }
     }
-}
-
-/// The pixels of the data window, row-major.
-fn read_pixels(bytes: &[u8], colour: &ColourChannels) -> Result<Vec<[f32; 4]>, ImageFileError> {
-    let image: Image<Layers<AnyChannels<FlatSamples>>> = exr::prelude::read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .all_channels()
-        .all_layers()
-        .all_attributes()
-        .from_buffered(Cursor::new(bytes))
-        .map_err(damaged)?;
-    let layer: Option<&Layer<AnyChannels<FlatSamples>>> = image.layer_data.get(colour.part);
-    let missing = || ImageFileError::Damaged("a part of its header is missing in its data".to_owned());
-    let layer = layer.ok_or_else(missing)?;
-    let mut pixels = vec![[0.0, 0.0, 0.0, 1.0]; layer.size.area()];
-    let places = colour.rgb.into_iter().map(Some).chain([colour.alpha]).enumerate();
-    for (place, channel) in places.filter_map(|(place, channel)| Some((place, channel?))) {
-        let samples = &layer.channel_data.list.get(channel).ok_or_else(missing)?.sample_data;
-        pixels.iter_mut().zip(samples.values_as_f32()).for_each(|(pixel, value)| pixel[place] = value);
-    }
-    Ok(pixels)
 }
 
 /// A single-part RGB EXR of f32 values, ZIP-compressed.

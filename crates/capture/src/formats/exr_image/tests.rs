@@ -1,4 +1,6 @@
-use exr::prelude::{AnyChannel, Encoding, ImageAttributes};
+use exr::prelude::{
+    AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, ImageAttributes, LineOrder,
+};
 use exr::prelude::{Layer as WrittenLayer, LayerAttributes, Vec2, f16};
 
 use super::*;
@@ -123,6 +125,71 @@ fn huge_display_windows_are_refused_before_allocation() {
     let huge = Example { display: IntegerBounds::new((0, 0), (1 << 20, 1 << 20)), ..Example::default() };
     assert!(decode(&huge.bytes()).unwrap_err().to_string().contains("display window"));
     assert!(decoded_bytes(&huge.bytes()).unwrap() > 1 << 40);
+}
+
+/// A file with one half channel `Y` whose header states a data window of `side` x `side` pixels.
+fn with_stated_data_window(side: u32) -> Vec<u8> {
+    let window = IntegerBounds::new((0, 0), (1, 1));
+    let mut bytes =
+        Example { data: window, display: window, channels: &[("Y", 0.5)], ..Example::default() }.bytes();
+    let name = b"dataWindow\0box2i\0";
+    let at = bytes.windows(name.len()).position(|w| w == name).unwrap() + name.len() + 4;
+    let last = (side - 1).to_le_bytes();
+    bytes[at + 8..at + 16].copy_from_slice(&[last, last].concat());
+    bytes
+}
+
+#[test]
+fn huge_data_windows_are_refused_before_allocation() {
+    use crate::formats::image_file;
+    let bytes = with_stated_data_window(1 << 15);
+    assert_eq!(dimensions(&bytes).unwrap(), (1, 1), "the display window is small");
+    assert!(decode(&bytes).unwrap_err().to_string().contains("data window"));
+    let error = image_file::decode(&bytes, image_file::DEFAULT_MAX_PIXELS).unwrap_err();
+    assert!(matches!(error, ImageFileError::TooManyPixels { width: 32_768, height: 32_768, .. }), "{error}");
+    let large = Example {
+        data: IntegerBounds::new((0, 0), (8, 8)),
+        display: IntegerBounds::new((0, 0), (1, 1)),
+        ..Example::default()
+    };
+    let limited = |limit| image_file::decode(&large.bytes(), limit);
+    assert!(matches!(limited(63).unwrap_err(), ImageFileError::TooManyPixels { .. }));
+    assert_eq!(limited(64).unwrap().pixels.len(), 1, "the control");
+}
+
+#[test]
+fn tiles_and_scan_lines_of_every_sample_type_are_placed() {
+    let (width, height) = (7usize, 5usize);
+    let value = |k: usize| (0..width * height).map(move |i| (k * 100 + i) as f32);
+    let channels = || {
+        AnyChannels::sort(
+            [
+                AnyChannel::new("R", FlatSamples::F32(value(1).collect())),
+                AnyChannel::new("G", FlatSamples::F16(value(2).map(f16::from_f32).collect())),
+                AnyChannel::new("B", FlatSamples::U32(value(3).map(|v| v as u32).collect())),
+                AnyChannel::new("Z", FlatSamples::F32(value(9).collect())),
+            ]
+            .into_iter()
+            .collect(),
+        )
+    };
+    let wanted: Vec<[f32; 4]> = (0..35u8)
+        .map(|i| [100, 200, 300].map(|k: u16| f32::from(k + u16::from(i))))
+        .map(|[r, g, b]| [r, g, b, 1.0])
+        .collect();
+    for blocks in [Blocks::ScanLines, Blocks::Tiles(Vec2(3, 2))] {
+        let encoding = Encoding { compression: Compression::ZIP1, blocks, line_order: LineOrder::Increasing };
+        let part = |name: &str| {
+            WrittenLayer::new((width, height), LayerAttributes::named(name), encoding, channels())
+        };
+        let attributes = ImageAttributes::new(IntegerBounds::new((0, 0), (width, height)));
+        let image = Image::empty(attributes).with_layer(part("other")).with_layer(part("beauty"));
+        let mut out = Cursor::new(Vec::new());
+        image.write().to_buffered(&mut out).unwrap();
+        let bytes = out.into_inner();
+        assert_eq!(decode(&bytes).unwrap().pixels, wanted, "{blocks:?}");
+        assert_eq!(decoded_bytes(&bytes).unwrap(), 35 * (4 * 4 + 16), "one part and the pixels");
+    }
 }
 
 #[test]

@@ -22,7 +22,14 @@ pub(in crate::formats) struct HeifHeader {
 
 /// Whether a file is a HEIC or AVIF picture, by its first bytes.
 pub(crate) fn is_heif(bytes: &[u8]) -> bool {
-    let Some((b"ftyp", data, _)) = first_box(bytes) else { return false };
+    let Some(b"ftyp") = bytes.get(4..8).and_then(|kind| kind.first_chunk()) else { return false };
+    // The size of the box; 0 is for all bytes, and 1 for a size of 64 bits. The box may be longer than the bytes that were
+    // read.
+    let length = match number(bytes, 0) {
+        Some(0 | 1) | None => bytes.len(),
+        Some(size) => bytes.len().min(size as usize),
+    };
+    let data = bytes.get(8..length).unwrap_or_default();
     // The minor version follows the main brand.
     let brands = data.chunks_exact(4).enumerate().filter(|(i, _)| *i != 1);
     let is_picture = |brand: &[u8]| BRANDS.iter().any(|known| *known == brand);
@@ -212,6 +219,8 @@ pub(super) mod tests {
         assert!(is_heif(&heic((4, 3), &[])));
         assert!(is_heif(b"\0\0\0\x18ftypMiHE\0\0\0\0mif1heic"), "by a compatible brand");
         assert!(is_heif(b"\0\0\0\x14ftypavif\0\0\0\0mif1"));
+        assert!(is_heif(b"\0\0\x10\0ftypavif\0\0\0\0mif1"), "a box longer than the bytes");
+        assert!(!is_heif(b"\0\0\0\x14ftypisom\0\0\0\0mp42heic"), "after the box");
         assert!(!is_heif(b"\0\0\0\x14ftypisom\0\0\0\0mp42"));
         assert!(!is_heif(b"\0\0\0\x14ftypqt  mif1qt  "), "the minor version is no brand");
     }

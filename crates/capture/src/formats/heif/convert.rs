@@ -1,11 +1,12 @@
 //! Converts HEIC and AVIF pictures with an installed program of libheif. Files are untrusted, so the program runs with limits
-//! on time, memory and output.
+//! on time, memory and output, and few programs run at once.
 
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::boxes;
@@ -17,12 +18,16 @@ const PROGRAMS: [&str; 2] = ["heif-convert", "heif-dec"];
 /// How to install a converter.
 pub const CONVERTER_PACKAGE: &str = "apt-get install libheif-examples, or brew install libheif";
 /// Time limit of a conversion.
-const TIME: Duration = Duration::from_secs(180);
+const TIME: Duration = Duration::from_secs(60);
+/// Greatest number of conversions at once in this process.
+const MAX_CONVERSIONS: usize = 2;
 /// Interval at which the running program is checked.
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 /// Limit on the program's memory: a constant, and bytes per pixel of the picture.
 const MEMORY: (u64, u64) = (1 << 30, 32);
-/// Limit on the written file: a constant, and bytes per pixel: four channels of 16 bits.
+/// Greatest number of files in the folder of a conversion: the input, the messages and the pictures.
+const MAX_FILES: usize = 8;
+/// Limit on all written files together, which is also the limit on each: a constant, and bytes per pixel: four channels of 16 bits.
 const OUTPUT: (u64, u64) = (4 << 20, 8);
 /// Bytes of the program's messages that an error shows.
 const MAX_MESSAGE: u64 = 400;
@@ -68,6 +73,7 @@ fn convert(bytes: &[u8], ending: &str, converter: Option<PathBuf>) -> Result<Vec
     let size = boxes::header(bytes)?.size;
     let name = converter.file_name().unwrap_or_default().display();
     let failed = |error: std::io::Error| ImageFileError::Damaged(format!("{name}: {error}"));
+    let _permit = CONVERSIONS.acquire();
     // The folder and its files are removed when this function returns.
     let folder = tempfile::TempDir::new().map_err(failed)?;
     let input = folder.path().join(if kind == "AVIF" { "in.avif" } else { "in.heic" });
@@ -83,7 +89,9 @@ fn convert(bytes: &[u8], ending: &str, converter: Option<PathBuf>) -> Result<Vec
         .stderr(File::create(&messages).map_err(failed)?)
         .spawn()
         .map_err(failed)?;
-    let is_success = RunningConverter(child).wait(&limits(size), TIME).map_err(failed)?;
+    let is_success = RunningConverter { child, folder: folder.path(), input_bytes: bytes.len() as u64 }
+        .wait(&limits(size), TIME)
+        .map_err(failed)?;
     let text = message(&messages);
     if !is_success {
         return Err(ImageFileError::Damaged(format!("{name} failed: {text}")));
@@ -134,16 +142,59 @@ fn message(file: &Path) -> String {
     if text.is_empty() { "it wrote no message".to_owned() } else { text }
 }
 
-/// A running converter, killed on drop.
-struct RunningConverter(Child);
+/// The conversions of this process.
+static CONVERSIONS: Permits = Permits { free: Mutex::new(MAX_CONVERSIONS), freed: Condvar::new() };
 
-impl RunningConverter {
+/// A number of permits; who finds none waits.
+struct Permits {
+    free: Mutex<usize>,
+    freed: Condvar,
+}
+
+/// A permit, returned on drop.
+struct Permit<'a>(&'a Permits);
+
+impl Permits {
+    fn acquire(&self) -> Permit<'_> {
+        let mut free = self.locked();
+        while *free == 0 {
+            free = self.freed.wait(free).unwrap_or_else(PoisonError::into_inner);
+        }
+        *free -= 1;
+        Permit(self)
+    }
+
+    fn locked(&self) -> MutexGuard<'_, usize> {
+        self.free.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Permit<'_> {
+    fn drop(&mut self) {
+        *self.0.locked() += 1;
+        self.0.freed.notify_one();
+    }
+}
+
+/// A running converter, killed on drop.
+struct RunningConverter<'a> {
+    child: Child,
+    /// Its working directory, with the input and everything that it writes.
+    folder: &'a Path,
+    /// Size of the input, bytes.
+    input_bytes: u64,
+}
+
+impl RunningConverter<'_> {
     /// Waits for the end. Returns whether the program succeeded.
     fn wait(mut self, limits: &ProcessLimits, time: Duration) -> std::io::Result<bool> {
-        limits.apply_to(&self.0)?;
+        limits.apply_to(&self.child)?;
         let start = Instant::now();
         loop {
-            if let Some(status) = self.0.try_wait()? {
+            let status = self.child.try_wait()?;
+            // Also after the end: a fast program may write everything between two checks.
+            self.check_output(limits)?;
+            if let Some(status) = status {
                 return Ok(status.success());
             }
             if start.elapsed() >= time {
@@ -153,13 +204,35 @@ impl RunningConverter {
             std::thread::sleep(POLL_INTERVAL);
         }
     }
+
+    /// An error if the program has written too many files or too many bytes.
+    fn check_output(&self, limits: &ProcessLimits) -> std::io::Result<()> {
+        let (mut files, mut bytes) = (0, 0u64);
+        for entry in fs::read_dir(self.folder)? {
+            files += 1;
+            // A file may be removed meanwhile.
+            bytes = bytes.saturating_add(entry?.metadata().map_or(0, |file| file.len()));
+            if files > MAX_FILES {
+                return Err(std::io::Error::other(format!(
+                    "the conversion wrote more than {MAX_FILES} files"
+                )));
+            }
+        }
+        let written = bytes.saturating_sub(self.input_bytes);
+        match limits.file_bytes {
+            Some(limit) if written > limit => {
+                Err(std::io::Error::other(format!("the conversion wrote more than {limit} bytes")))
+            }
+            _ => Ok(()),
+        }
+    }
 }
 
-impl Drop for RunningConverter {
+impl Drop for RunningConverter<'_> {
     fn drop(&mut self) {
         // Both calls fail only if the program has already exited.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 
@@ -167,6 +240,7 @@ impl Drop for RunningConverter {
 #[cfg(unix)]
 mod tests {
     use std::os::unix::fs::PermissionsExt;
+    use std::sync::atomic::{AtomicUsize, Ordering};
 
     use super::super::boxes::tests::heic;
     use super::*;
@@ -211,15 +285,67 @@ mod tests {
         );
     }
 
+    /// Whether a process exists.
+    fn is_running(pid: &str) -> bool {
+        let test = Command::new("sh").args(["-c", &format!("kill -0 {pid}")]).stderr(Stdio::null()).status();
+        test.unwrap().success()
+    }
+
     #[test]
     fn converter_is_killed_at_its_time_limit() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let running = |child| RunningConverter { child, folder: folder.path(), input_bytes: 0 };
         let child = Command::new("sleep").arg("300").spawn().unwrap();
-        let error = RunningConverter(child).wait(&ProcessLimits::default(), Duration::ZERO).unwrap_err();
+        let pid = child.id().to_string();
+        assert!(is_running(&pid), "the control");
+        let error = running(child).wait(&ProcessLimits::default(), Duration::ZERO).unwrap_err();
         assert_eq!(error.kind(), std::io::ErrorKind::TimedOut);
+        assert!(!is_running(&pid), "{pid} is still running");
         let child = Command::new("true").spawn().unwrap();
         let limits = limits((4000, 3000));
-        assert!(RunningConverter(child).wait(&limits, TIME).unwrap(), "the control");
+        assert!(running(child).wait(&limits, TIME).unwrap(), "the control");
         assert_eq!(limits.file_bytes, Some((4 << 20) + 96_000_000));
+    }
+
+    #[test]
+    fn converter_that_writes_too_much_is_killed() {
+        let bytes = "for i in 1 2 3 4; do head -c 2000000 /dev/zero > big$i; done";
+        let files = "for i in 1 2 3 4 5 6 7 8 9; do : > file$i; done";
+        for (text, reason) in [(bytes, "more than 4194400 bytes"), (files, "more than 8 files")] {
+            let folder = tempfile::TempDir::new().unwrap();
+            let pid = folder.path().join("pid");
+            let text = format!("echo $$ > {}; {text}; exec sleep 300", pid.display());
+            let converter = script(folder.path(), &text);
+            let error = convert(&heic((4, 3), &[]), "png", Some(converter)).unwrap_err().to_string();
+            assert!(error.contains(reason), "{error}");
+            let pid = fs::read_to_string(pid).unwrap();
+            assert!(!is_running(pid.trim()), "{pid} is still running");
+        }
+        let ended = converted(&format!("{files}; cp FOLDER/4x3.png $4")).unwrap_err().to_string();
+        assert!(ended.contains("more than 8 files"), "a program that has already exited: {ended}");
+        let few = "for i in 1 2 3 4; do head -c 20000 /dev/zero > big$i; done; cp FOLDER/4x3.png $4";
+        assert!(converted(few).is_ok(), "the control");
+    }
+
+    #[test]
+    fn at_most_two_conversions_run_at_once() {
+        let permits = Permits { free: Mutex::new(MAX_CONVERSIONS), freed: Condvar::new() };
+        let (running, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        std::thread::scope(|scope| {
+            for _ in 0..8 {
+                scope.spawn(|| {
+                    for _ in 0..50 {
+                        let _permit = permits.acquire();
+                        let now = running.fetch_add(1, Ordering::SeqCst) + 1;
+                        most.fetch_max(now, Ordering::SeqCst);
+                        std::thread::yield_now();
+                        running.fetch_sub(1, Ordering::SeqCst);
+                    }
+                });
+            }
+        });
+        assert!((1..=2).contains(&most.load(Ordering::SeqCst)), "{most:?}");
+        assert_eq!(*permits.locked(), 2, "every permit was returned");
     }
 
     #[test]

@@ -55,6 +55,9 @@ pub(crate) fn is_grey(bytes: &[u8]) -> bool {
 
 /// Refuses an image of more than `limit` pixels by its header.
 pub(super) fn check_size(bytes: &[u8], limit: u64) -> Result<(), ImageFileError> {
+    if exr_image::is_exr(bytes) {
+        return exr_image::check_size(bytes, limit);
+    }
     let (width, height) = dimensions(bytes)?;
     let (width, height) = (u64::from(width), u64::from(height));
     if width * height > limit {
