@@ -162,7 +162,7 @@ mod tests {
         doubled[3][2] = 1e-8;
         assert_eq!(matrix(&doubled), matrix(&good));
         let flipped: Vec<_> = (0..4).map(|i| good.iter().map(|row| row[i]).collect()).collect();
-        let cut = vec![vec![1.0; 3], vec![1.0; 3], vec![1.0; 3]];
+        let cut = [vec![1.0; 3], vec![1.0; 3], vec![1.0; 3]];
         let skewed = [good[0].clone(), good[1].clone(), good[2].clone(), row([0., 0., 1e-4, 1.])];
         let five = [&good[..], &good[..1]].concat();
         for (rows, reason) in [

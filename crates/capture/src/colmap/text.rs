@@ -36,9 +36,9 @@ impl<'a> TextFile<'a> {
     pub(super) fn image_lines(&self) -> impl Iterator<Item = (usize, &str)> {
         let mut may_be_observations = false;
         self.lines().filter(move |(_, line)| {
-            let is_image = !line.is_empty() && !(may_be_observations && is_observations(line));
-            may_be_observations = is_image;
-            is_image
+            let is_second = may_be_observations && is_observations(line);
+            may_be_observations = !(line.is_empty() || is_second);
+            may_be_observations
         })
     }
 
