@@ -188,7 +188,10 @@ fn colmap_is_stopped_after_timeout_or_cancellation() {
 /// Scripts for ffmpeg: a clip of ten seconds, whose frames are the photographs of `place`, repeated.
 fn with_clip(place: &Place) {
     fs::write(place.at("walk.mp4"), "no clip, but no one looks").unwrap();
-    place.program("ffprobe", "case $1 in -version) echo 'ffprobe version 5.1.6' ;; *) echo 10.0 ;; esac\n");
+    place.program(
+        "ffprobe",
+        "case $1 in -version) echo 'ffprobe version 5.1.6' ;; *) echo duration=10.0 ;; esac\n",
+    );
     let script = "while [ \"$1\" != -frames:v ]; do shift; done; n=1\n\
                   while [ $n -le $2 ]; do cp PHOTOS/$((n % 8)).png $(printf candidate_%06d.jpg $n); n=$((n + 1)); done\n\
                   echo frame=$2\n";
@@ -211,11 +214,14 @@ fn clip_becomes_photographs_or_gives_a_clear_error() {
     assert!(!place.at("walk.frames.part").exists());
 
     fs::remove_dir_all(place.at("walk.frames")).unwrap();
-    place.program("ffprobe", "case $1 in -version) echo 'ffprobe version 3.4' ;; *) echo 10.0 ;; esac\n");
+    place.program(
+        "ffprobe",
+        "case $1 in -version) echo 'ffprobe version 3.4' ;; *) echo duration=10.0 ;; esac\n",
+    );
     place.fails_with(&clip, true, &["`ffprobe` has version 3", "at least 4"]);
-    place.program("ffprobe", "case $1 in -version) ;; *) echo N/A ;; esac\n");
+    place.program("ffprobe", "case $1 in -version) ;; *) echo duration=N/A ;; esac\n");
     place.fails_with(&clip, true, &["walk.mp4", "not a video clip of known duration"]);
-    place.program("ffprobe", "case $1 in -version) ;; *) echo 10.0 ;; esac\n");
+    place.program("ffprobe", "case $1 in -version) ;; *) echo duration=10.0 ;; esac\n");
     place.program("ffmpeg", "echo 'moov atom not found'; exit 1\n");
     place.fails_with(&clip, true, &["ffmpeg", "moov atom not found"]);
     assert!(!place.at("walk.frames").exists(), "no half of a clip is taken for photographs");

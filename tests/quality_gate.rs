@@ -71,6 +71,7 @@ async fn a_job_reports_metrics_on_held_out_views() {
     let model = job.model.unwrap();
     let report =
         evaluated(&client.file(&model, "model.safetensors").await.unwrap(), &archive, Tier::Standard);
+    assert!(figures.foreground_pixels > 0 && figures.foreground_pixels == report.foreground_pixels);
     let close = |a: Option<f64>, b: Option<f64>| (a.unwrap() - b.unwrap()).abs() < 1e-9;
     assert!(close(figures.novel_view.psnr, report.novel_view.psnr), "{figures:?}\n{report:?}");
     assert!(close(figures.novel_view.ssim, report.novel_view.ssim));

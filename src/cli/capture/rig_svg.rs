@@ -207,8 +207,8 @@ mod tests {
 
     #[test]
     fn a_stray_camera_is_drawn_at_the_edge() {
-        let mut cameras: Vec<_> =
-            (0..12).map(|i| camera("a", DVec3::new(3.0, f64::from(i) * 0.1, 1.0), false)).collect();
+        let on_ring = |i: u32| DVec3::new(3.0 * f64::from(i).cos(), 3.0 * f64::from(i).sin(), 1.0);
+        let mut cameras: Vec<_> = (0..12).map(|i| camera("a", on_ring(i), false)).collect();
         let report = CaptureReport { radius: 1.0, ..CaptureReport::default() };
         let near = rig_svg(&cameras, &[], &report);
         cameras.push(camera("stray", DVec3::new(4000.0, 0.0, 1.0), false));

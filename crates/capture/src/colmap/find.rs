@@ -17,6 +17,8 @@ const FOLDERS: [&str; 9] = [
     "colmap",
     "colmap/text",
 ];
+/// Number of models whose images are counted.
+const MOST_COUNTED: usize = 64;
 /// Least number of images with which a model in a better folder is preferred to a larger one elsewhere.
 const ENOUGH: usize = 3;
 
@@ -112,7 +114,8 @@ fn candidates(source: &CaptureFiles) -> Vec<Candidate> {
             };
             let images = format!("{folder}images.{}", encoding.ending());
             if source.contains(&images) {
-                let images = count(source, &images, encoding);
+                // The files of text models are read completely to count their images.
+                let images = if found.len() < MOST_COUNTED { count(source, &images, encoding) } else { 0 };
                 found.push(Candidate { folder: folder.to_owned(), encoding, images });
             }
         }

@@ -74,6 +74,7 @@ impl NovelViews {
         let layers = ViewLayers::render(&self.renderer, &view.camera, light, self.quality)
             .map_err(|source| refused(view, source))?;
         let truth = shown_by(self.renderer.model(), view, &layers.alpha);
+        self.compared += 1;
         self.foreground_pixels +=
             foreground(&view.image).iter().filter(|is_inside| **is_inside).count() as u64;
         self.radiance.add(&layers.radiance, &truth, None);
