@@ -48,8 +48,8 @@ fn per_pixel_shadows_match_the_cpu_engine() {
             model.gaussians.field_mut(Field::Sheen).fill(0.5);
             let model = Arc::new(model);
             let (cpu, gpu) = (Renderer::new(model.clone()), on_gpu(&model));
-            let [expected, found] = [&cpu, &gpu].map(|r| shown(r, &camera(48), &sun(), Tier::High));
-            let standard = shown(&gpu, &camera(48), &sun(), Tier::Standard);
+            let [expected, found] = [&cpu, &gpu].map(|r| shown(r, &camera(32), &sun(), Tier::High));
+            let standard = shown(&gpu, &camera(32), &sun(), Tier::Standard);
             for output in OUTPUTS {
                 let apart = distance(&found, &expected, output);
                 let control = distance(&standard, &expected, output);
@@ -85,7 +85,7 @@ fn monte_carlo_mean_and_noise_match_the_cpu_engine() {
         let model = model(shade_at, indirect);
         let (cpu, gpu) = (Renderer::new(model.clone()), on_gpu(&model));
         let of = |renderer: &Renderer, samples: u32, seed: u64| {
-            shown(renderer, &camera(40), &sun(), Quality { seed, ..Quality::monte_carlo(samples) })
+            shown(renderer, &camera(28), &sun(), Quality { seed, ..Quality::monte_carlo(samples) })
         };
         let truth = of(&cpu, 2048, 9);
         let (host, device) = (of(&cpu, 64, 0), of(&gpu, 64, 0));
@@ -101,7 +101,7 @@ fn monte_carlo_mean_and_noise_match_the_cpu_engine() {
             assert!((found / expected - 1.0).abs() < 5e-3, "{shade_at:?} {output:?}: {found} {expected}");
         }
         let brighter = sun().rotated_and_scaled(0.0, 1.02);
-        let brighter = shown(&gpu, &camera(40), &brighter, Quality { seed: 3, ..Quality::monte_carlo(2048) });
+        let brighter = shown(&gpu, &camera(28), &brighter, Quality { seed: 3, ..Quality::monte_carlo(2048) });
         let [found, expected] = [&brighter, &truth].map(|frame| mean(&frame.planes[&Output::Rgb]));
         assert!(found / expected > 1.01, "the control: light a fiftieth too strong shows in the mean");
     }
