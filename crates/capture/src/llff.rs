@@ -7,6 +7,7 @@ use crate::distortion::Distortion;
 use crate::lens::Lens;
 use crate::photo_finder::PhotoFinder;
 use crate::photos::{PhotoEntry, Split};
+use crate::selection::PHOTOGRAPHS;
 use crate::truth::TruthFiles;
 use crate::upright::{StatedUp, upright};
 use crate::{CaptureError, CaptureFiles, layout, masks};
@@ -66,9 +67,7 @@ pub(super) fn read(
 fn images(source: &CaptureFiles, root: &str) -> Vec<String> {
     let is_photo = |path: &&str| {
         let lower = path.to_ascii_lowercase();
-        [".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif"]
-            .iter()
-            .any(|ending| lower.ends_with(ending))
+        lower.rsplit_once('.').is_some_and(|(_, ending)| PHOTOGRAPHS.contains(&ending))
     };
     let of = |folder: &&str| {
         let folder = format!("{root}{folder}");

@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use unicode_normalization::UnicodeNormalization;
 
 use crate::error::name_list;
+use crate::selection::PHOTOGRAPHS;
 use crate::{CaptureError, CaptureFiles, masks};
 
 /// Least number of photographs in a capture.
@@ -13,9 +14,6 @@ pub(super) const MIN_IMAGES: usize = 3;
 /// Endings that names of photographs omit. The last two add the name of a light.
 const OMITTED: [&str; 9] =
     [".png", ".jpg", ".jpeg", ".webp", ".exr", ".JPG", ".PNG", "_sunset.png", "_sunset_000.png"];
-/// Extensions of photographs, in lower case.
-const ENDINGS: [&str; 11] =
-    ["jpg", "jpeg", "png", "tif", "tiff", "webp", "exr", "heic", "heif", "avif", "dng"];
 /// Folders with maps that are no photographs.
 const OTHER_FOLDERS: [&str; 6] = ["depth", "disparity", "normal", "confidence", "conf", "sparse"];
 /// Number of photographs of one file name that are compared with a stated name.
@@ -169,7 +167,7 @@ fn index(source: &CaptureFiles) -> BTreeMap<String, Vec<Candidate<'_>>> {
             let folder = folder.to_lowercase();
             OTHER_FOLDERS.iter().any(|other| folder.starts_with(other))
         });
-        !in_other && extension(path).is_some_and(|ending| ENDINGS.contains(&ending.as_str()))
+        !in_other && extension(path).is_some_and(|ending| is_photo_ending(&ending))
     };
     let mut index: BTreeMap<String, Vec<Candidate<'_>>> = BTreeMap::new();
     for path in masks::separate(source.paths().filter(is_photo)) {
@@ -186,13 +184,18 @@ fn index(source: &CaptureFiles) -> BTreeMap<String, Vec<Candidate<'_>>> {
 fn keys(path: &str) -> impl Iterator<Item = String> + '_ {
     let parts = path.rsplit(['/', '\\']).filter(|part| !part.is_empty());
     parts.enumerate().map(|(i, part)| {
-        let part = if i == 0 && extension(part).is_some_and(|ending| ENDINGS.contains(&ending.as_str())) {
+        let part = if i == 0 && extension(part).is_some_and(|ending| is_photo_ending(&ending)) {
             part.rsplit_once('.').map_or(part, |(stem, _)| stem)
         } else {
             part
         };
         part.nfc().collect::<String>().to_lowercase()
     })
+}
+
+/// Whether an extension, in lower case, is that of a photograph whose poses a layout may state.
+fn is_photo_ending(ending: &str) -> bool {
+    PHOTOGRAPHS.contains(&ending) || ending == "exr"
 }
 
 fn extension(path: &str) -> Option<String> {

@@ -1,5 +1,5 @@
-//! Checks whether the poses of a capture are plausible. Most faults of poses have numbers that no real capture has: cameras that
-//! look away from what they photograph, one pose for all, one camera far from the others, the sky at the side.
+//! Checks whether the poses of a capture are plausible. It finds cameras that
+//! look away from the object, one pose for all photographs, a camera far from the others, and cameras that are upside down.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -131,7 +131,7 @@ fn looking(photos: &[PhotoEntry]) -> usize {
 }
 
 /// Converts poses with OpenCV axes (y down, z forward) to OpenGL axes (y up, z backward) if they are surely such: taken
-/// as OpenGL axes, the cameras look away from what they photograph and are upside down.
+/// as OpenGL axes, the cameras look away from the object and are upside down.
 pub(super) fn convert_opencv_axes(photos: &mut [PhotoEntry], warnings: &mut Vec<String>) {
     let up = photos.iter().map(up).sum::<DVec3>() / photos.len().max(1) as f64;
     if up.z < -0.5 && 10 * looking(photos) < photos.len() {

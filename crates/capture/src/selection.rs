@@ -7,7 +7,8 @@ use crate::masks::{self, stem};
 use crate::{CaptureError, CaptureFiles, images};
 
 /// File extensions of photographs.
-const PHOTOGRAPHS: [&str; 10] = ["jpg", "jpeg", "png", "tif", "tiff", "webp", "heic", "heif", "hif", "avif"];
+pub(super) const PHOTOGRAPHS: [&str; 10] =
+    ["jpg", "jpeg", "png", "tif", "tiff", "webp", "heic", "heif", "hif", "avif"];
 /// File extensions of phone pictures, which need an installed converter.
 const PHONE_PICTURES: [&str; 4] = ["heic", "heif", "hif", "avif"];
 /// File extensions of copies of phone pictures.

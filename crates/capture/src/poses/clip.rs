@@ -203,7 +203,7 @@ fn can_map_tones(
     Ok(false)
 }
 
-/// Frames of the clip in order: those that are compared for each interval.
+/// The frames that the sharpness check compares, in the order of the clip. Each belongs to one interval.
 fn extract(
     clip: &Path,
     part: &Path,

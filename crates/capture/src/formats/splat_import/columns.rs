@@ -86,7 +86,7 @@ impl SplatColumns {
         }
     }
 
-    /// What is assumed about files without all columns.
+    /// Notes on the values that the import assumes for missing columns.
     pub(super) fn note(&self) -> Option<String> {
         let text = "the file has flat splats (2DGS, no scale_2); they have a thickness of 1e-6 units";
         self.scale[2].is_none().then(|| text.to_owned())

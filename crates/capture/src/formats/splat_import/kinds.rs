@@ -10,7 +10,7 @@ pub(super) struct SplatFile {
     pub table: PlyTable,
     /// Name of the format, for the model card.
     pub from: &'static str,
-    /// What was left out or assumed.
+    /// Notes on values that the import omits or assumes.
     pub notes: Vec<String>,
 }
 

@@ -30,7 +30,7 @@ const LIGHT_SIZE: (usize, usize) = (16, 8);
 pub struct ImportedModel {
     /// The model.
     pub model: Model,
-    /// What was left out or assumed. The model card has the same sentences in `imported.notes`.
+    /// Notes on values that the import omits or assumes. The model card has the same sentences in `imported.notes`.
     pub notes: Vec<String>,
 }
 

@@ -3,7 +3,7 @@
 use crate::formats::ply_table::{PlyError, PlyTable, bad};
 use crate::formats::splat_import::columns::SplatColumns;
 
-/// Usable rows, and the number of those that are left out.
+/// The usable rows, and the number of unusable rows.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct UsableRows {
     /// Indices of the rows, ascending.
@@ -59,7 +59,7 @@ impl UsableRows {
         self.kept.iter().filter_map(|i| table.rows().nth(*i))
     }
 
-    /// What was left out.
+    /// Notes on splats that the import omits.
     pub(super) fn notes(&self) -> Vec<String> {
         let (broken, first) = self.broken;
         let total = self.kept.len() + self.invisible + broken;

@@ -21,7 +21,7 @@ pub(super) fn is_spz(bytes: &[u8]) -> bool {
     container::is_spz(bytes)
 }
 
-/// The splats as the table of an ordinary PLY, and what was left out.
+/// The splats as the table of an ordinary PLY, and notes on data that the import omits.
 ///
 /// # Errors
 /// Names the version, field or block of the file that is not supported or truncated.
