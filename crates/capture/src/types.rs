@@ -51,7 +51,7 @@ pub struct SceneBounds {
 /// A capture ready for training: +Z up, OpenCV cameras, no distortion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Capture {
-    /// The recognised layout: `nerf-synthetic`, `tensoir`, `nerfstudio`, `colmap`, `llff`, `synthetic`.
+    /// The recognised layout: `nerf-synthetic`, `tensoir`, `nerfstudio`, `colmap`, `llff`, `polycam`, `synthetic`.
     pub layout: String,
     /// Training views.
     pub train: Vec<CaptureView>,
