@@ -24,8 +24,9 @@ struct MonteCarlo {
     // Size of the environment.
     width: u32,
     height: u32,
-    pad_a: u32,
-    pad_b: u32,
+    // 1: the diffuse term has the share of the light that the highlight leaves.
+    conserves_energy: u32,
+    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> camera: Camera;
@@ -39,8 +40,9 @@ struct MonteCarlo {
 @group(0) @binding(7) var<storage, read> texels: array<vec4f>;
 // Cumulative shares of the light over rows, then over the columns of each row.
 @group(0) @binding(8) var<storage, read> sums: array<f32>;
+@group(0) @binding(9) var<storage, read> constants: array<f32>;
 // Diffuse and specular part, times coverage.
-@group(0) @binding(9) var<storage, read_write> sent: array<vec4f>;
+@group(0) @binding(10) var<storage, read_write> sent: array<vec4f>;
 
 // Clamp of a sample, so that radiance stays finite in f32 under extreme lights.
 const MAX_RADIANCE = 1e36;
@@ -142,7 +144,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     }
     let inverse = 1.0 / coverage;
     let ray = pixel_ray(camera, gid.x, gid.y);
-    let r = pixel_reflector(pixel_ix, coverage, ray);
+    let r = pixel_reflector(pixel_ix, coverage, ray, sampling.conserves_energy == 1u);
     let blocked = channel_blocked(gbuffer[DEPTH_GROUP * n + pixel_ix]) * inverse;
     let point = camera.centre.xyz + depths[pixel_ix] * ray;
     var diffuse = sent[pixel_ix].xyz;

@@ -5,7 +5,7 @@
 #import generated/parameters
 #import camera
 #import splat
-#import sharp_light
+#import sharp_reflection
 
 const WG_SIZE = 256u;
 
@@ -15,7 +15,8 @@ const WG_SIZE = 256u;
 @group(0) @binding(3) var<storage, read> params: array<f32>;
 @group(0) @binding(4) var<storage, read> splats: array<Splat>;
 @group(0) @binding(5) var<storage, read> attributes: array<vec4f>;
-@group(0) @binding(6) var<storage, read_write> reflected: array<vec4f>;
+@group(0) @binding(6) var<storage, read> constants: array<f32>;
+@group(0) @binding(7) var<storage, read_write> reflected: array<vec4f>;
 
 @compute @workgroup_size(WG_SIZE)
 fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg: vec3u) {
@@ -36,6 +37,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
         channel_albedo(material),
         channel_metal(material),
         channel_rough(attributes[row + ROUGH_GROUP]),
+        light.conserves_energy == 1u,
     );
     let sent = sent_of(r, light, params[model.sheen + gaussian_ix]);
     reflected[2u * gaussian_ix] = vec4f(1.0, sent.diffuse + sent.specular);

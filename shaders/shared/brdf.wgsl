@@ -52,6 +52,25 @@ fn lut_sample(nov: f32, roughness: f32) -> LutSample {
     );
 }
 
+// Share of the light that the highlight of a dielectric leaves for the diffuse term, with derivatives.
+struct DiffuseShare {
+    value: f32,
+    by_nov: f32,
+    by_roughness: f32,
+}
+
+// 1 for a diffuse term that does not conserve energy.
+fn diffuse_share(lut: LutSample, conserves_energy: bool) -> DiffuseShare {
+    if !conserves_energy {
+        return DiffuseShare(1.0, 0.0, 0.0);
+    }
+    return DiffuseShare(
+        1.0 - (DIELECTRIC_F0 * lut.value.x + lut.value.y),
+        -(DIELECTRIC_F0 * lut.by_nov.x + lut.by_nov.y),
+        -(DIELECTRIC_F0 * lut.by_roughness.x + lut.by_roughness.y),
+    );
+}
+
 // Level below a roughness, the fraction towards the next, and the fraction's derivative (0 where clamped).
 struct LevelPosition {
     level: u32,

@@ -1,5 +1,6 @@
 // Reflection of light from one direction towards the camera: the port of crates/scene/src/light/reflector.rs.
 #import generated/light
+#import brdf
 #import orthonormal
 #import quaternion
 
@@ -15,7 +16,7 @@ struct Reflector {
     view: vec3f,
     nov: f32,
     alpha: f32,
-    // Lambert's reflectance per steradian; the next member is the reflectance at normal incidence.
+    // The diffuse reflectance per steradian; the next member is the reflectance at normal incidence.
     diffuse: vec3f,
     f0: vec3f,
 }
@@ -27,7 +28,7 @@ struct Reflected {
 }
 
 // `normal` has any length.
-fn reflector_of(normal: vec3f, view: vec3f, albedo: vec3f, metal: f32, rough: f32) -> Reflector {
+fn reflector_of(normal: vec3f, view: vec3f, albedo: vec3f, metal: f32, rough: f32, conserves_energy: bool) -> Reflector {
     var r: Reflector;
     let length = length3(normal);
     let unit = select(view, normal / length, length > 1e-12);
@@ -38,7 +39,8 @@ fn reflector_of(normal: vec3f, view: vec3f, albedo: vec3f, metal: f32, rough: f3
     r.view = view;
     r.nov = clamp(dot(r.normal, view), MIN_NOV, 1.0);
     r.alpha = max(rough * rough, MIN_GGX_ALPHA);
-    r.diffuse = albedo * ((1.0 - metal) / PI);
+    let share = diffuse_share(lut_sample(r.nov, rough), conserves_energy);
+    r.diffuse = albedo * (share.value * (1.0 - metal) / PI);
     r.f0 = DIELECTRIC_F0 * (1.0 - metal) + albedo * metal;
     return r;
 }

@@ -23,6 +23,11 @@ struct Shading {
     shade_at: u32,
     // 1: images are compared through the sRGB curve.
     srgb: u32,
+    // 1: the diffuse term has the share of the light that the highlight leaves.
+    conserves_energy: u32,
+    pad_a: u32,
+    pad_b: u32,
+    pad_c: u32,
 }
 
 @group(0) @binding(0) var<uniform> camera: Camera;
@@ -50,6 +55,7 @@ struct Shaded {
     direct: Direct,
     lambert: Lambert,
     sheen: Sheen,
+    share: DiffuseShare,
     position: LevelPosition,
     level_taps: array<Taps, 2>,
     level_value: array<vec3f, 2>,
@@ -193,7 +199,6 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
     f.direct = direct(s, f.normal, f.nov);
     f.lambert = lambert(s, f.normal, f.direct.irradiance);
     f.sheen = sheen_of((*s).sheen, f.nov);
-    f.diffuse = f.lambert.radiance * f.sheen.gain;
     // Specular: split sum, visibility over the lobe.
     f.position = level_position((*s).rough);
 #repeat k 2
@@ -208,6 +213,8 @@ fn shade(s: ptr<function, Surface>) -> Shaded {
         f.visible = squash(f.visible_raw);
     }
     f.lut = lut_sample(f.nov, (*s).rough);
+    f.share = diffuse_share(f.lut, shading.conserves_energy == 1u);
+    f.diffuse = f.lambert.radiance * (f.sheen.gain * f.share.value);
     let f0 = DIELECTRIC_F0 * (1.0 - (*s).metal) + (*s).albedo * (*s).metal;
     let light = f.visible * f.prefiltered + (1.0 - f.visible) * (*s).blocked;
     f.specular = light * (f0 * f.lut.value.x + f.lut.value.y) + f.direct.specular;

@@ -173,9 +173,10 @@ fn shade_backward(s: ptr<function, Surface>, f: ptr<function, Shaded>, g: vec3f)
     var out: SurfaceGradient;
     // A copy: naga 30 cannot form a pointer to a member through a pointer.
     var diffuse = (*f).lambert;
-    var by_normal = lambert_backward(s, &diffuse, g * (*f).sheen.gain, &out);
+    var by_normal = lambert_backward(s, &diffuse, g * ((*f).sheen.gain * (*f).share.value), &out);
     let by_gain = dot(g, (*f).lambert.radiance);
-    out.sheen = by_gain * (*f).sheen.by_sheen;
+    out.sheen = by_gain * (*f).share.value * (*f).sheen.by_sheen;
+    out.rough += by_gain * (*f).sheen.gain * (*f).share.by_roughness;
     let by = specular_backward(s, f, g, &out);
     let by_field = visibility_backward(s, (*f).normal, (*f).reflection, vec2f(out.ambient_raw, out.visible_raw), &out);
     by_normal += by_field[0];
@@ -183,7 +184,7 @@ fn shade_backward(s: ptr<function, Surface>, f: ptr<function, Shaded>, g: vec3f)
     let by_bent = normalised3_backward((*f).reflection, (*f).reflection_length, by.yzw + by_field[1]);
     let by_direct = direct_backward(s, (*f).normal, (*f).nov, out.gathered, g, &out);
     by_normal += by_direct.xyz;
-    let by_nov = by.x + 2.0 * dot(by_bent, (*f).normal) + by_gain * (*f).sheen.by_nov + by_direct.w;
+    let by_nov = by.x + 2.0 * dot(by_bent, (*f).normal) + by_gain * ((*f).sheen.by_nov * (*f).share.value + (*f).sheen.gain * (*f).share.by_nov) + by_direct.w;
     by_normal += 2.0 * (*f).nov * by_bent + select(0.0, by_nov, (*f).nov_inside) * (*s).view;
     out.view += select(0.0, by_nov, (*f).nov_inside) * (*f).normal - by_bent;
     let sign = select(1.0, -1.0, (*f).flipped);

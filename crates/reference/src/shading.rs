@@ -127,11 +127,16 @@ pub fn shade<'t>(
         lights.map(|(k, light)| direct(tape, &light, arriving.column(k), seen, (s.rough, f0))).collect()
     });
     let irradiance = lights.iter().fold(irradiance + s.gathered, |sum, light| sum + light.irradiance);
+    let split = light.brdf(n_dot_v, s.rough);
     let lambert = s.albedo * (1.0 - s.metal) * (1.0 / PI) * irradiance;
-    let diffuse = s.sheen.map_or(lambert, |sheen| lambert * sheen_gain(sheen, n_dot_v));
+    let sheen = s.sheen.map_or(lambert, |sheen| lambert * sheen_gain(sheen, n_dot_v));
+    let diffuse = if options.conserves_energy {
+        sheen * (1.0 - (0.04 * split.column(0) + split.column(1)))
+    } else {
+        sheen
+    };
 
     let mirrored = lobe_visibility(visibility, reflection, s.rough, options.visibility);
-    let split = light.brdf(n_dot_v, s.rough);
     let prefiltered = light.prefiltered(reflection, s.rough);
     let incoming = mirrored * prefiltered + (1.0 - mirrored) * s.blocked;
     let tabulated = incoming * (f0 * split.column(0) + split.column(1));

@@ -79,6 +79,10 @@ pub struct ShadingOptions {
     pub visibility: VisibilityForm,
     /// Form of the diffuse term.
     pub diffuse: DiffuseForm,
+    /// True: the diffuse term receives only the light that the highlight leaves, so that no surface reflects more than what arrives.
+    // Models of older files have the whole light.
+    #[serde(default)]
+    pub conserves_energy: bool,
     /// Place of shading.
     // Files of version 2 had the diffuse term at the Gaussians alone, under this name.
     #[serde(alias = "diffuse_at")]
@@ -127,6 +131,7 @@ impl Default for ShadingOptions {
         Self {
             visibility: VisibilityForm::default(),
             diffuse: DiffuseForm::default(),
+            conserves_energy: true,
             shade_at: ShadeAt::default(),
             normal: NormalForm::default(),
             indirect: IndirectForm::default(),

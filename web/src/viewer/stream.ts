@@ -25,6 +25,7 @@ export interface ModelHeader extends Layout {
   shading: {
     visibility: string
     diffuse: string
+    conserves_energy: boolean
     shade_at: string
     normal: string
     low_pass: number

@@ -35,19 +35,16 @@ pub(super) fn render(
         let mut random = random.clone();
         random.set_stream(pixels_before + (y * view.width + x) as u64);
         let point = surface_point(&pass, x, y);
-        let sum = estimate(
-            &reflector(surface),
-            environment,
-            surface.blocked.map(f64::from),
-            counts,
-            &mut random,
-            |d| f64::from(occluders.transmittance(point, d.to_array().map(|v| v as f32))),
-        );
-        let bounced = (1.0 - surface.metal) * std::f32::consts::FRAC_1_PI;
+        let reflector = reflector(surface, source.options);
+        let sum =
+            estimate(&reflector, environment, surface.blocked.map(f64::from), counts, &mut random, |d| {
+                f64::from(occluders.transmittance(point, d.to_array().map(|v| v as f32)))
+            });
+        let bounced = reflector.diffuse();
         let finite = |v: f64| v.min(MAX_RADIANCE) as f32;
         OutgoingRadiance {
             diffuse: std::array::from_fn(|c| {
-                finite(sum.diffuse[c]) + surface.albedo[c] * bounced * surface.gathered[c]
+                finite(sum.diffuse[c]) + bounced[c] as f32 * surface.gathered[c]
             }),
             specular: sum.specular.map(finite),
         }

@@ -10,22 +10,22 @@ use crate::towards_light;
 use relume_layout::channel::{COVERAGE, Channels, OutgoingRadiance, RowLight};
 use relume_layout::constants::{EarlyStop, MIN_COVERAGE, SHADOW_SAMPLE_OFFSETS};
 use relume_scene::light::{DominantLight, Sheen, TableLight};
-use relume_scene::{Field, ShadeAt, SplitLight};
+use relume_scene::{Field, ShadeAt, ShadingOptions, SplitLight};
 
 /// The reflected radiance of one unoccluded light in every pixel.
 pub(super) enum UnshadowedLight<'a> {
     /// Reflected at the Gaussians, then blended.
     AtGaussians(Box<Pass>),
     /// Reflected at the surface of each pixel.
-    InPixels(&'a Pass, &'a DominantLight),
+    InPixels(&'a Pass, &'a DominantLight, &'a ShadingOptions),
 }
 
 impl<'a> UnshadowedLight<'a> {
     /// Uses the shading location of the model of `source`. `pass` has the G-buffer.
-    pub(super) fn new(source: &AttributeSource<'_>, pass: &'a Pass, light: &'a DominantLight) -> Self {
+    pub(super) fn new(source: &AttributeSource<'a>, pass: &'a Pass, light: &'a DominantLight) -> Self {
         match source.options.shade_at {
             ShadeAt::Gaussian => Self::AtGaussians(Box::new(blend_reflected(source, pass, light))),
-            ShadeAt::Pixel => Self::InPixels(pass, light),
+            ShadeAt::Pixel => Self::InPixels(pass, light, source.options),
         }
     }
 
@@ -33,14 +33,14 @@ impl<'a> UnshadowedLight<'a> {
     pub(super) fn at(&self, (x, y): (usize, usize)) -> Option<OutgoingRadiance> {
         let pass: &Pass = match self {
             Self::AtGaussians(pass) => pass,
-            Self::InPixels(pass, _) => pass,
+            Self::InPixels(pass, ..) => pass,
         };
         if !(pass.at(x, y, COVERAGE) >= MIN_COVERAGE) {
             return None;
         }
         let sent = match self {
             Self::AtGaussians(pass) => blended_radiance(pass, (x, y)),
-            Self::InPixels(pass, light) => reflect(&surface_at(pass, x, y)?.0, light),
+            Self::InPixels(pass, light, options) => reflect(&surface_at(pass, x, y)?.0, light, options),
         };
         sent.total().iter().any(|v| *v > 0.0).then_some(sent)
     }
@@ -56,7 +56,7 @@ fn blend_reflected(source: &AttributeSource<'_>, pass: &Pass, light: &DominantLi
         let i = splat.gaussian as usize;
         let mean: [f32; 3] = source.gaussians.get(Field::Mean, i);
         let surface = source.surface(i, row, std::array::from_fn(|k| mean[k] - view.centre[k]));
-        let sent = reflect(&surface, light);
+        let sent = reflect(&surface, light, source.options);
         row[OutgoingRadiance::TOTAL].copy_from_slice(&sent.total());
         row[OutgoingRadiance::SPECULAR].copy_from_slice(&sent.specular);
     });
@@ -65,8 +65,8 @@ fn blend_reflected(source: &AttributeSource<'_>, pass: &Pass, light: &DominantLi
 }
 
 /// The radiance that `surface` reflects of an unoccluded light, including sheen.
-fn reflect(surface: &Surface, light: &DominantLight) -> OutgoingRadiance {
-    let Some(reflected) = reflector(surface).reflect(light.direction, light.radius) else {
+fn reflect(surface: &Surface, light: &DominantLight, options: &ShadingOptions) -> OutgoingRadiance {
+    let Some(reflected) = reflector(surface, options).reflect(light.direction, light.radius) else {
         return OutgoingRadiance::default();
     };
     let (normal, _) = normalise(surface.normal);

@@ -9,8 +9,8 @@ use crate::cpu::{Pass, Surface, SurfaceShader, normalise, surface_at};
 use crate::{Frame, linear_from_srgb};
 use relume_layout::channel::{self, OutgoingRadiance};
 use relume_layout::constants::MIN_COVERAGE;
-use relume_scene::Output;
-use relume_scene::light::Reflector;
+use relume_scene::light::{Material, Reflector};
+use relume_scene::{Output, ShadingOptions};
 
 /// Converts a G-buffer to the requested planes. `light` shades the surface in pixel (x, y); it is called only where an output
 /// contains light.
@@ -108,11 +108,17 @@ fn write_attribute(
     }
 }
 
-/// The BRDF of a surface, with its normal turned to the camera.
-pub fn reflector(surface: &Surface) -> Reflector {
+/// The BRDF of a surface in the forward model `options`, with its normal turned to the camera.
+pub fn reflector(surface: &Surface, options: &ShadingOptions) -> Reflector {
     let vector = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
     let view = vector(surface.view).normalize_or(DVec3::Z);
     let normal = vector(surface.normal).normalize_or(view);
     let facing = if normal.dot(view) < 0.0 { -normal } else { normal };
-    Reflector::new(facing, view, surface.albedo, surface.metal, surface.rough)
+    let material = Material {
+        albedo: surface.albedo,
+        metal: surface.metal,
+        rough: surface.rough,
+        conserves_energy: options.conserves_energy,
+    };
+    Reflector::new(facing, view, material)
 }

@@ -8,8 +8,8 @@ use relume_layout::channel::OutgoingRadiance;
 use relume_layout::constants::MIN_NOV;
 use relume_scene::VisibilityForm;
 use relume_scene::light::{
-    BrdfLut, DIELECTRIC_F0, LOBE_DEGREES, LevelPosition, LightTables, LobeAttenuation, LutSample, Sheen,
-    Taps, sh_eval, sh_eval_with_gradient,
+    BrdfLut, DIELECTRIC_F0, DiffuseShare, LOBE_DEGREES, LevelPosition, LightTables, LobeAttenuation,
+    LutSample, Sheen, Taps, sh_eval, sh_eval_with_gradient,
 };
 
 /// A shaded surface with the values that its backward pass needs.
@@ -30,6 +30,7 @@ pub struct Shaded {
     direct: Option<[f32; 3]>,
     lambert: Lambert,
     sheen: Sheen,
+    share: DiffuseShare<f32>,
     position: LevelPosition<f32>,
     level_taps: [Taps<f32>; 2],
     level_value: [[f32; 3]; 2],
@@ -85,6 +86,7 @@ impl SurfaceShader<'_> {
             std::array::from_fn(|c| level_value[0][c] * (1.0 - fraction) + level_value[1][c] * fraction);
         let (visible, visible_raw) = self.visible(s, reflection);
         let lut = BrdfLut::shared().sample(nov, s.rough);
+        let share = lut.diffuse_share(self.options.conserves_energy);
         let mut specular = std::array::from_fn(|c| {
             let f0 = DIELECTRIC_F0 * (1.0 - s.metal) + s.albedo[c] * s.metal;
             let light = visible * prefiltered[c] + (1.0 - visible) * s.blocked[c];
@@ -94,8 +96,9 @@ impl SurfaceShader<'_> {
             (0..3).for_each(|c| specular[c] += direct.specular[c]);
         }
         Shaded {
-            diffuse: lambert.radiance.map(|v| v * sheen.gain),
+            diffuse: lambert.radiance.map(|v| v * (sheen.gain * share.value)),
             sheen,
+            share,
             specular,
             normal,
             normal_length,
@@ -153,15 +156,19 @@ impl SurfaceShader<'_> {
         tables: &mut LightTables,
     ) -> SurfaceGradient {
         let mut out = SurfaceGradient::zero();
+        let (sheen, share) = (&f.sheen, &f.share);
         let by_gain = dot3(g, f.lambert.radiance);
-        let by_diffuse = g.map(|v| v * f.sheen.gain);
+        let by_diffuse = g.map(|v| v * (sheen.gain * share.value));
         let mut by_normal =
             self.lambert_backward(&lit(s, f.direct), &f.lambert, by_diffuse, tables, &mut out);
-        out.sheen = by_gain * f.sheen.by_sheen;
+        out.sheen = by_gain * share.value * sheen.by_sheen;
+        out.rough = by_gain * sheen.gain * share.by_roughness;
         let (mut by_nov, by_reflection) = self.specular_backward(s, f, g, tables, &mut out);
         // R = normalize(2 nov n - v), nov = n . v.
         let by_bent = normalise_backward(f.reflection, f.reflection_length, by_reflection);
-        by_nov = by_nov + 2.0 * dot3(by_bent, f.normal) + by_gain * f.sheen.by_nov;
+        by_nov = by_nov
+            + 2.0 * dot3(by_bent, f.normal)
+            + by_gain * (sheen.by_nov * share.value + sheen.gain * share.by_nov);
         for k in 0..3 {
             by_normal[k] += 2.0 * f.nov * by_bent[k];
             out.view[k] = -by_bent[k];

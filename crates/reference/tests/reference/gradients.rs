@@ -182,6 +182,7 @@ fn article_form_gradients_agree_with_differences() {
         indirect: IndirectForm::Learned,
         low_pass_compensation: true,
         srgb: false,
+        conserves_energy: false,
         ..ShadingOptions::default()
     };
     gradients_hold("article", &model(shading), &["sheen"]);

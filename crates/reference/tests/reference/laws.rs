@@ -118,9 +118,11 @@ fn aggregation_is_zero_for_one_hot_and_0_98421_for_uniform() {
 
 #[test]
 fn white_ball_in_a_white_furnace_conserves_energy() {
-    let seen = |metal: f64, rough: f64| {
+    let render_with = |conserves_energy: bool, (metal, rough): (f64, f64)| {
         let scene = ReferenceModel::new(ball(400, metal, rough)).unwrap();
-        let frame = render(&scene, &camera_from(DVec3::new(2.0, -3.0, 1.5)), &options(constant_sky()));
+        let mut options = options(constant_sky());
+        options.shading.conserves_energy = conserves_energy;
+        let frame = render(&scene, &camera_from(DVec3::new(2.0, -3.0, 1.5)), &options);
         let covered = frame["coverage"].data().iter().zip(0..).filter(|(c, _)| **c > 0.99).map(|(_, i)| i);
         let pixels: Vec<usize> = covered.collect();
         assert!(pixels.len() > 30);
@@ -128,8 +130,17 @@ fn white_ball_in_a_white_furnace_conserves_energy() {
         let centre = frame["specular"].row(8 * 17 + 8)[0];
         (channel("diffuse"), channel("specular"), centre)
     };
-    let (diffuse, _, _) = seen(-40.0, 40.0);
-    assert!(diffuse.iter().all(|d| (d - 1.0).abs() < 0.01), "white Lambertian in a sky of 1: {diffuse:?}");
+    let seen = |metal: f64, rough: f64| render_with(true, (metal, rough));
+    let totals = |conserves_energy: bool, rough: f64| -> Vec<f64> {
+        let (diffuse, specular, _) = render_with(conserves_energy, (-40.0, rough));
+        diffuse.iter().zip(&specular).map(|(diffuse, specular)| diffuse + specular).collect()
+    };
+    for rough in [-1.0, 0.0, 1.0, 40.0] {
+        let total = totals(true, rough);
+        assert!(total.iter().all(|t| (t - 1.0).abs() < 0.01), "white dielectric in a sky of 1: {total:?}");
+        let uncoupled = totals(false, rough);
+        assert!(uncoupled.iter().any(|t| *t > 1.02), "the control: {uncoupled:?}");
+    }
     for rough in [-40.0, -1.0, 0.0, 1.0, 40.0] {
         let (diffuse, specular, _) = seen(40.0, rough);
         assert!(diffuse.iter().all(|d| d.abs() < 1e-12), "metal has no diffuse part");

@@ -221,6 +221,7 @@ fn cpu_engine_matches_the_reference_in_the_article_form() {
         normal: NormalForm::Free,
         low_pass_compensation: true,
         srgb: false,
+        conserves_energy: false,
         ..ShadingOptions::default()
     };
     engines_agree("article", shading);

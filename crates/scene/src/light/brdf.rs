@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use num_traits::Float;
 
-use relume_layout::light::LUT_SIZE;
+use relume_layout::light::{DIELECTRIC_F0, LUT_SIZE};
 
 /// GGX normal distribution, per steradian of half vectors; `alpha = roughness^2`.
 pub fn ggx_d(cos_h: f64, alpha: f64) -> f64 {
@@ -38,6 +38,35 @@ pub struct LutSample<T> {
     pub by_nov: [T; 2],
     /// d value / d roughness.
     pub by_roughness: [T; 2],
+}
+
+/// Share of the light that the highlight of a dielectric leaves for the diffuse term below it, with derivatives:
+/// `1 - (F0 scale + bias)` with `F0` = [`DIELECTRIC_F0`], between 0 and 1. With it a white surface under uniform light reflects
+/// exactly what arrives (albedo scaling; Kulla and Conty 2017).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DiffuseShare<T> {
+    /// The share.
+    pub value: T,
+    /// d value / d (n.v).
+    pub by_nov: T,
+    /// d value / d roughness.
+    pub by_roughness: T,
+}
+
+impl<T: Float> LutSample<T> {
+    /// The share of a diffuse term that conserves energy; 1 for one that does not.
+    pub fn diffuse_share(&self, conserves_energy: bool) -> DiffuseShare<T> {
+        if !conserves_energy {
+            return DiffuseShare { value: T::one(), by_nov: T::zero(), by_roughness: T::zero() };
+        }
+        let f0 = T::from(DIELECTRIC_F0).unwrap_or_else(T::nan);
+        let reflected = |[scale, bias]: [T; 2]| f0 * scale + bias;
+        DiffuseShare {
+            value: T::one() - reflected(self.value),
+            by_nov: -reflected(self.by_nov),
+            by_roughness: -reflected(self.by_roughness),
+        }
+    }
 }
 
 impl BrdfLut {
@@ -146,6 +175,22 @@ mod tests {
         assert!((mirror[0] + mirror[1] - 1.0).abs() < 2e-3, "{mirror:?}");
         let rough = lut.sample(1.0f64, 1.0).value;
         assert!(rough[0] + rough[1] < 0.95, "single scattering must lose energy when rough: {rough:?}");
+    }
+
+    #[test]
+    fn diffuse_share_is_what_the_highlight_leaves() {
+        let lut = BrdfLut::shared();
+        let sample = lut.sample(0.2f64, 0.3);
+        let share = sample.diffuse_share(true);
+        let reflected = f64::from(DIELECTRIC_F0) * sample.value[0] + sample.value[1];
+        assert!((share.value + reflected - 1.0).abs() < 1e-9 && share.value < 0.95, "{share:?}");
+        let step = 1e-6;
+        let at = |nov, rough| lut.sample(nov, rough).diffuse_share(true).value;
+        let by_nov = (at(0.2 + step, 0.3) - at(0.2 - step, 0.3)) / (2.0 * step);
+        let by_roughness = (at(0.2, 0.3 + step) - at(0.2, 0.3 - step)) / (2.0 * step);
+        assert!((by_nov - share.by_nov).abs() < 1e-6 && share.by_nov > 0.01, "{share:?}");
+        assert!((by_roughness - share.by_roughness).abs() < 1e-6 && share.by_roughness != 0.0, "{share:?}");
+        assert_eq!(sample.diffuse_share(false).value, 1.0, "the control");
     }
 
     #[test]

@@ -20,7 +20,7 @@ mod tables;
 /// Colour of the light under an open sky, linear Rec.709 of mean 1.
 pub const DAYLIGHT: [f32; 3] = [0.80, 0.94, 1.26];
 
-pub use brdf::{BrdfLut, LutSample, ggx_d, ggx_smith_correlated};
+pub use brdf::{BrdfLut, DiffuseShare, LutSample, ggx_d, ggx_smith_correlated};
 pub use colour::{LightColour, luminance};
 pub use dominant::{DominantLight, SplitEnvironment};
 pub use grid::{CubeGrid, Taps};
@@ -28,7 +28,7 @@ pub use lobe::{LobeAttenuation, LobeSample};
 pub use operators::{CompressedRows, EnvOperators, LevelPosition, TableResolution};
 pub use prefilter::rendering_tables;
 pub use reflectance::reflectance_tables;
-pub use reflector::{Reflected, Reflector};
+pub use reflector::{Material, Reflected, Reflector};
 pub use relume_layout::light::{
     CLAMPED_COSINE, DIELECTRIC_F0, LOBE_DEGREES, LUMINANCE, MAX_SHEEN, SPECULAR_LEVELS, UNOCCLUDED_SH0,
     UPWARD_LUMINANCE, nrsh_factor,

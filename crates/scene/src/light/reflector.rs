@@ -5,7 +5,21 @@ use std::f64::consts::{FRAC_1_PI, PI, TAU};
 
 use glam::DVec3;
 
-use crate::light::brdf::{ggx_d, ggx_smith_correlated};
+use crate::light::brdf::{BrdfLut, ggx_d, ggx_smith_correlated};
+
+/// What a surface is made of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Material {
+    /// Base colour, 0 to 1 per channel.
+    pub albedo: [f32; 3],
+    /// Metalness, 0 to 1.
+    pub metal: f32,
+    /// Roughness, 0 to 1.
+    pub rough: f32,
+    /// True: the diffuse term has the share of the light that the highlight leaves
+    /// ([`DiffuseShare`](super::DiffuseShare)).
+    pub conserves_energy: bool,
+}
 
 /// A surface and the direction from which the camera sees it.
 #[derive(Debug, Clone, Copy)]
@@ -16,7 +30,7 @@ pub struct Reflector {
     view: DVec3,
     nov: f64,
     alpha: f64,
-    /// Lambert's reflectance per steradian.
+    /// The diffuse reflectance per steradian.
     diffuse: [f64; 3],
     /// Reflectance at normal incidence.
     f0: [f64; 3],
@@ -32,22 +46,28 @@ pub struct Reflected {
 }
 
 impl Reflector {
-    /// A surface with unit `normal`, seen from the unit direction `view`, with base colour, metalness and roughness in
-    /// [0, 1].
-    pub fn new(normal: DVec3, view: DVec3, albedo: [f32; 3], metal: f32, rough: f32) -> Self {
+    /// A surface with unit `normal`, seen from the unit direction `view`.
+    pub fn new(normal: DVec3, view: DVec3, material: Material) -> Self {
         let (tangent, bitangent) = normal.any_orthonormal_pair();
-        let (metal, rough) = (f64::from(metal), f64::from(rough));
-        let albedo = albedo.map(f64::from);
+        let (metal, rough) = (f64::from(material.metal), f64::from(material.rough));
+        let albedo = material.albedo.map(f64::from);
+        let nov = normal.dot(view).clamp(1e-4, 1.0);
+        let share = BrdfLut::shared().sample(nov, rough).diffuse_share(material.conserves_energy).value;
         Self {
             normal,
             tangent,
             bitangent,
             view,
-            nov: normal.dot(view).clamp(1e-4, 1.0),
+            nov,
             alpha: (rough * rough).max(1e-4),
-            diffuse: albedo.map(|a| a * (1.0 - metal) * FRAC_1_PI),
+            diffuse: albedo.map(|a| a * (1.0 - metal) * FRAC_1_PI * share),
             f0: albedo.map(|a| 0.04 * (1.0 - metal) + a * metal),
         }
+    }
+
+    /// The diffuse reflectance per steradian.
+    pub fn diffuse(&self) -> [f64; 3] {
+        self.diffuse
     }
 
     /// Reflectance times cosine towards unit `light`; `None` below the horizon. `radius` is the angular radius
@@ -105,11 +125,10 @@ impl Reflector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::BrdfLut;
-
     fn surface(nov: f64, rough: f32) -> Reflector {
         let view = DVec3::new((1.0 - nov * nov).sqrt(), 0.0, nov);
-        Reflector::new(DVec3::Z, view, [1.0, 0.5, 0.0], 0.0, rough)
+        let material = Material { albedo: [1.0, 0.5, 0.0], metal: 0.0, rough, conserves_energy: true };
+        Reflector::new(DVec3::Z, view, material)
     }
 
     /// The integral of `f` over the half sphere, by midpoints concentrated at the lobe of half vectors.
@@ -142,6 +161,23 @@ mod tests {
                 let other = 0.04 * other[0] + other[1];
                 assert!((other / table - 1.0).abs() > 0.001, "the control: roughness shows in the table");
             }
+        }
+    }
+
+    #[test]
+    fn white_surface_reflects_all_that_arrives() {
+        let energy = |rough, conserves_energy| {
+            let material = Material { albedo: [1.0; 3], metal: 0.0, rough, conserves_energy };
+            let r = Reflector::new(DVec3::Z, DVec3::new(0.8, 0.0, 0.6), material);
+            let reflected = |d| r.reflect(d, 0.0).unwrap_or_default();
+            let specular = integrate(&r, |d| reflected(d).specular[0]);
+            // The diffuse reflectance is constant: its integral over the cosine is pi times it.
+            reflected(DVec3::Z).diffuse[0] * PI + specular
+        };
+        for rough in [0.2, 0.5, 0.9] {
+            let white = energy(rough, true);
+            assert!((white - 1.0).abs() < 0.003, "{rough}: {white}");
+            assert!(energy(rough, false) > 1.02, "the control");
         }
     }
 

@@ -184,6 +184,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::light::Material;
     use crate::texel_directions;
 
     fn lamp() -> EnvMap {
@@ -194,7 +195,8 @@ mod tests {
     }
 
     fn surface() -> Reflector {
-        Reflector::new(DVec3::Z, DVec3::new(-0.48, 0.36, 0.8), [0.7, 0.5, 0.2], 0.4, 0.4)
+        let material = Material { albedo: [0.7, 0.5, 0.2], metal: 0.4, rough: 0.4, conserves_energy: true };
+        Reflector::new(DVec3::Z, DVec3::new(-0.48, 0.36, 0.8), material)
     }
 
     /// A half-opaque curtain hides one side of the sky.

@@ -58,21 +58,24 @@ impl Method {
                 "lights": 0
             }),
             Self::GaussianShader => json!({
-                "shading": {"visibility": "off", "indirect": "off"},
+                "shading": {"visibility": "off", "indirect": "off", "conserves_energy": false},
                 "labels": "none", "bounces": 0, "prototypes": 1, "lights": 0, "sheen": false
             }),
             Self::GsIr => json!({
-                "shading": {"diffuse": "ambient_occlusion", "indirect": "off", "shade_at": "pixel"},
+                "shading": {
+                    "diffuse": "ambient_occlusion", "indirect": "off", "shade_at": "pixel", "conserves_energy": false
+                },
                 "labels": "probes", "bounces": 0, "prototypes": 1, "lights": 0, "sheen": false
             }),
             // Probes alone would leave learned indirect light at its first value.
             Self::R3dg => json!({
-                "shading": {"diffuse": "directional", "indirect": "learned"},
+                "shading": {"diffuse": "directional", "indirect": "learned", "conserves_energy": false},
                 "labels": "both", "bounces": 0, "prototypes": 1, "lights": 0, "sheen": false
             }),
             Self::Article => json!({
                 "shading": {
-                    "visibility": "sigmoid", "diffuse": "ambient_occlusion", "indirect": "learned", "shade_at": "pixel"
+                    "visibility": "sigmoid", "diffuse": "ambient_occlusion", "indirect": "learned", "shade_at": "pixel",
+                    "conserves_energy": false
                 },
                 "labels": "backward", "bounces": 0, "lights": 0, "sheen": false
             }),

@@ -71,6 +71,7 @@ export class SceneModel implements Sink<ModelHeader> {
     this.shading
       .integers('visibility_form', forms.visibility).integers('diffuse_form', forms.diffuse)
       .integers('shade_at', code('SHADE_AT', shading.shade_at)).integers('srgb', Number(shading.srgb))
+      .integers('conserves_energy', Number(shading.conserves_energy))
       .upload()
   }
 

@@ -63,7 +63,7 @@ impl GpuFrameLight {
         };
         renderer.draw(&job.view, &source, |recorder, projected, reused| {
             let frame = pass.forward(recorder, projected)?;
-            let sent = reused.rays.sharp_lights(recorder, &frame, &renderer.options, tree, lights)?;
+            let sent = reused.rays.sharp_lights(recorder, &frame, &shading, tree, lights)?;
             let light = (&shading, PixelLight::TablesAnd(&sent));
             renderer.resolved(recorder, frame.camera(), frame.gbuffer(), light, reused.planes, job)
         })
@@ -85,7 +85,7 @@ impl GpuFrameLight {
         renderer.draw(&job.view, &source, |recorder, projected, reused| {
             let attributed = projected.attributes(recorder, renderer.full())?;
             let frame = attributed.blend(recorder, EarlyStop::WhenSaturated)?;
-            let sent = reused.rays.monte_carlo(recorder, &frame, tree, environment, samples)?;
+            let sent = reused.rays.monte_carlo(recorder, &frame, &shading, tree, environment, samples)?;
             let light = (&shading, PixelLight::Alone(&sent));
             renderer.resolved(recorder, frame.camera(), frame.gbuffer(), light, reused.planes, job)
         })

@@ -6,6 +6,7 @@ use crate::DeviceError;
 use crate::gpu::grow::grow;
 use crate::gpu::raster::Blended;
 use crate::gpu::rays::{RayMemory, TreeBuffers};
+use crate::gpu::shading::Shading;
 use crate::gpu::{Buffer, Gpu, Recorder, shaders, uniform};
 use relume_scene::light::{EnvSampler, SampleCounts};
 
@@ -26,8 +27,8 @@ struct MonteCarloUniform {
     n_lobe: u32,
     width: u32,
     height: u32,
-    pad_a: u32,
-    pad_b: u32,
+    conserves_energy: u32,
+    pad: u32,
 }
 
 /// An [`EnvSampler`] in device memory.
@@ -76,6 +77,7 @@ impl RayMemory {
         &mut self,
         recorder: &mut Recorder<'_>,
         frame: &Blended<'_>,
+        shading: &Shading,
         tree: &TreeBuffers,
         environment: &EnvironmentBuffers,
         samples: &Samples,
@@ -96,8 +98,8 @@ impl RayMemory {
                 n_lobe: shares.lobe,
                 width: environment.width,
                 height: environment.height,
-                pad_a: 0,
-                pad_b: 0,
+                conserves_energy: u32::from(shading.options.conserves_energy),
+                pad: 0,
             };
             let bindings = [
                 uniform(camera),
@@ -109,6 +111,7 @@ impl RayMemory {
                 (&tree.members).into(),
                 (&environment.texels).into(),
                 (&environment.sums).into(),
+                (&shading.constants.buffer).into(),
                 (&sent).into(),
             ];
             recorder.stage("monte carlo");
@@ -127,7 +130,7 @@ mod tests {
     fn samples_are_laid_out_as_the_shader_reads_them() {
         assert_layout!(
             MonteCarloUniform as "MonteCarlo" in shaders::MONTE_CARLO;
-            seed, pixels_before, first_sample, end_sample, n_light, n_cosine, n_lobe, width, height, pad_a, pad_b
+            seed, pixels_before, first_sample, end_sample, n_light, n_cosine, n_lobe, width, height, conserves_energy, pad
         );
     }
 }

@@ -6,6 +6,7 @@ use crate::gpu::grow::grow;
 use crate::gpu::permutations::groups;
 use crate::gpu::raster::Blended;
 use crate::gpu::rays::{RayMemory, TreeBuffers};
+use crate::gpu::shading::Shading;
 use crate::gpu::{Buffer, Groups, Recorder, shaders, uniform};
 use crate::{DeviceError, towards_light};
 use relume_layout::constants::SHADOW_SAMPLE_OFFSETS;
@@ -24,13 +25,13 @@ struct SharpLightUniform {
     row_groups: u32,
     n_rays: u32,
     n_directions: u32,
-    pad: u32,
+    conserves_energy: u32,
     directions: [[f32; 4]; MAX_DIRECTIONS],
 }
 
 impl SharpLightUniform {
-    /// `light` for surfaces whose rows have `row_groups` groups, with or without shadows.
-    fn new(light: &DominantLight, row_groups: usize, is_occluded: bool) -> Self {
+    /// `light` for surfaces of the forward model `options` whose rows have `row_groups` groups.
+    fn new(light: &DominantLight, row_groups: usize, options: &ShadingOptions) -> Self {
         let [x, y, z] = light.direction.to_array().map(|v| v as f32);
         let [r, g, b] = light.irradiance.map(|v| v as f32);
         let towards = towards_light(&SplitLight::from(&TableLight::from(light)));
@@ -38,6 +39,7 @@ impl SharpLightUniform {
         for (out, [x, y, z]) in directions.iter_mut().zip(&towards) {
             *out = [*x, *y, *z, 0.0];
         }
+        let is_occluded = options.visibility != VisibilityForm::Off;
         let n_rays = if is_occluded { towards.len().max(SHADOW_SAMPLE_OFFSETS.len()) } else { 0 };
         Self {
             direction: [x, y, z, light.radius as f32],
@@ -45,7 +47,7 @@ impl SharpLightUniform {
             row_groups: row_groups as u32,
             n_rays: n_rays as u32,
             n_directions: towards.len().min(MAX_DIRECTIONS) as u32,
-            pad: 0,
+            conserves_energy: u32::from(options.conserves_energy),
             directions,
         }
     }
@@ -61,7 +63,7 @@ impl RayMemory {
         &mut self,
         recorder: &mut Recorder<'_>,
         frame: &Blended<'_>,
-        options: &ShadingOptions,
+        shading: &Shading,
         tree: &TreeBuffers,
         lights: &[DominantLight],
     ) -> Result<Buffer<[f32; 4]>, DeviceError> {
@@ -70,8 +72,8 @@ impl RayMemory {
         recorder.clear(&sent);
         let row_groups = groups(frame.attributed.channels);
         for light in lights {
-            let light = SharpLightUniform::new(light, row_groups, options.visibility != VisibilityForm::Off);
-            let reflected = self.reflected(recorder, frame, options.shade_at, &light)?;
+            let light = SharpLightUniform::new(light, row_groups, &shading.options);
+            let reflected = self.reflected(recorder, frame, shading, &light)?;
             let bindings = [
                 uniform(frame.camera()),
                 uniform(&light),
@@ -94,14 +96,16 @@ impl RayMemory {
         &mut self,
         recorder: &mut Recorder<'_>,
         frame: &Blended<'_>,
-        shade_at: ShadeAt,
+        shading: &Shading,
         light: &SharpLightUniform,
     ) -> Result<Buffer<[f32; 4]>, DeviceError> {
         let (camera, gpu) = (frame.camera(), recorder.gpu());
         let reflected = grow(gpu, "light reflected", &mut self.reflected, 2 * camera.pixels())?;
         recorder.stage("light");
-        if shade_at == ShadeAt::Pixel {
-            let bindings = [uniform(camera), uniform(light), frame.gbuffer().into(), (&reflected).into()];
+        let constants = &shading.constants.buffer;
+        if shading.options.shade_at == ShadeAt::Pixel {
+            let gbuffer = frame.gbuffer().into();
+            let bindings = [uniform(camera), uniform(light), gbuffer, constants.into(), (&reflected).into()];
             recorder.dispatch(&shaders::REFLECTED_PIXELS, Groups::Linear(camera.pixels()), &bindings);
             return Ok(reflected);
         }
@@ -116,6 +120,7 @@ impl RayMemory {
             (&p.source.params).into(),
             (&p.splats).into(),
             (&frame.attributed.rows).into(),
+            constants.into(),
             (&rows).into(),
         ];
         recorder.dispatch(&shaders::REFLECTED_ROWS, Groups::Linear(n), &bindings);
@@ -133,17 +138,18 @@ mod tests {
     fn lights_are_laid_out_as_the_shaders_read_them() {
         assert_layout!(
             SharpLightUniform as "SharpLight" in shaders::SHADOW_RAYS;
-            direction, irradiance, row_groups, n_rays, n_directions, pad, directions
+            direction, irradiance, row_groups, n_rays, n_directions, conserves_energy, directions
         );
     }
 
     #[test]
     fn number_of_light_samples_fits_the_shader_array() {
         let wide = DominantLight { direction: glam::DVec3::Z, irradiance: [1.0; 3], radius: 0.5 };
-        let uniform = SharpLightUniform::new(&wide, 5, true);
+        let uniform = SharpLightUniform::new(&wide, 5, &ShadingOptions::default());
         let towards = towards_light(&SplitLight::from(&TableLight::from(&wide)));
         assert_eq!((uniform.n_directions as usize, uniform.n_rays as usize), (towards.len(), towards.len()));
-        let point = SharpLightUniform::new(&DominantLight { radius: 0.0, ..wide }, 5, true);
+        let point =
+            SharpLightUniform::new(&DominantLight { radius: 0.0, ..wide }, 5, &ShadingOptions::default());
         assert_eq!(
             (point.n_directions, point.n_rays),
             (1, SHADOW_SAMPLE_OFFSETS.len() as u32),

@@ -28,6 +28,11 @@ struct ShadingUniform {
     pub shade_at: u32,
     /// 1: images are compared through the sRGB curve.
     pub srgb: u32,
+    /// 1: the diffuse term has the share of the light that the highlight leaves.
+    pub conserves_energy: u32,
+    pad_a: u32,
+    pad_b: u32,
+    pad_c: u32,
 }
 
 impl ShadingUniform {
@@ -40,6 +45,10 @@ impl ShadingUniform {
             diffuse_form: diffuse_code(options.diffuse),
             shade_at: shade_at_code(options.shade_at),
             srgb: u32::from(options.srgb),
+            conserves_energy: u32::from(options.conserves_energy),
+            pad_a: 0,
+            pad_b: 0,
+            pad_c: 0,
         }
     }
 }

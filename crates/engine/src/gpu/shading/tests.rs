@@ -231,7 +231,9 @@ fn forms() -> Vec<ShadingOptions> {
         for diffuse in [DiffuseForm::Directional, DiffuseForm::AmbientOcclusion] {
             for shade_at in [ShadeAt::Pixel, ShadeAt::Gaussian] {
                 let srgb = diffuse == DiffuseForm::Directional;
-                out.push(ShadingOptions { visibility, diffuse, shade_at, srgb, ..Default::default() });
+                let conserves_energy = visibility != VisibilityForm::Sigmoid;
+                let default = ShadingOptions::default();
+                out.push(ShadingOptions { visibility, diffuse, conserves_energy, shade_at, srgb, ..default });
             }
         }
     }
@@ -387,7 +389,7 @@ fn radiance_branch_alone_matches_the_cpu_engine() {
 #[test]
 fn uniforms_are_laid_out_as_the_shaders_read_them() {
     assert_layout!(ShadingUniform as "Shading" in shaders::SHADE_1; background, visibility_form, diffuse_form,
-        shade_at, srgb);
+        shade_at, srgb, conserves_energy, pad_a, pad_b, pad_c);
     assert_layout!(CompositeUniform as "Composite" in shaders::RADIANCE; background, n_pixels, srgb,
         n_groups, pad);
 }
