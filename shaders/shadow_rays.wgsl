@@ -3,7 +3,9 @@
 // crates/engine/src/cpu/pixel_light.rs). A thread owns a pixel. No workgroup memory.
 #import camera
 #import generated/channels
+#import generated/light
 #import generated/surface_point
+#import quaternion
 #import ray_tree
 #import sharp_light
 

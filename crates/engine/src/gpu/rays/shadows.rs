@@ -155,6 +155,7 @@ mod tests {
             (1, SHADOW_SAMPLE_OFFSETS.len() as u32),
             "the control"
         );
-        assert_eq!(SharpLightUniform::new(&wide, 5, false).n_rays, 0);
+        let open = ShadingOptions { visibility: VisibilityForm::Off, ..ShadingOptions::default() };
+        assert_eq!(SharpLightUniform::new(&wide, 5, &open).n_rays, 0);
     }
 }
