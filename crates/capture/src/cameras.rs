@@ -3,11 +3,10 @@
 use std::path::Path;
 
 use rayon::prelude::*;
-use relume_spec::training::UpAxis;
 
 use crate::photos::{self, PhotoEntry, Split};
 use crate::truth::TruthFiles;
-use crate::{CaptureError, CaptureFiles, ImportLimits, colmap, import, transforms};
+use crate::{CaptureError, CaptureFiles, ImportLimits, Up, colmap, import, transforms};
 use relume_scene::Camera;
 
 /// The camera of a photograph.
@@ -28,10 +27,14 @@ pub struct PhotoCamera {
 ///
 /// # Errors
 /// [`CaptureError`] names the file and field at fault.
-pub fn cameras(path: &Path, limits: &ImportLimits, up: UpAxis) -> Result<Vec<PhotoCamera>, CaptureError> {
+pub fn cameras(
+    path: &Path,
+    limits: &ImportLimits,
+    up: impl Into<Up>,
+) -> Result<Vec<PhotoCamera>, CaptureError> {
     let source = CaptureFiles::open(path, limits)?;
-    let (_, photos, _) = import::read_layout(&source, up, &mut Vec::new())?;
-    of_photos(&source, &photos)
+    let layout = import::read_layout(&source, up.into(), &mut Vec::new())?;
+    of_photos(&source, &layout.photos)
 }
 
 /// The cameras of photographs, in their order.
@@ -52,7 +55,8 @@ pub(super) fn of_photos(
 }
 
 /// The cameras that a `transforms*.json` states, without its photographs, in the order of its frames. The world is that of the
-/// file, and of a capture that was imported without another `up`.
+/// file: [`crate::WorldUp::rotation`] rotates it to that of a capture, which is another one only if the capture was imported with
+/// another `up` or if the file's +Z is the mean up direction of its cameras.
 ///
 /// # Errors
 /// [`CaptureError`] names the field at fault; `w,h` where the file states no size and `size` is none.
@@ -77,16 +81,20 @@ pub fn cameras_of_transforms(
 }
 
 /// The cameras of a folder or archive with a COLMAP model, without its photographs, sorted by name. The world is that
-/// of the capture: COLMAP's world, rotated so that the mean up of these cameras is +Z.
+/// of a capture with this model that was imported with the same `up`.
 ///
 /// # Errors
 /// [`CaptureError`] names the file and field at fault, or says that there is no model.
-pub fn cameras_of_colmap(path: &Path, limits: &ImportLimits) -> Result<Vec<PhotoCamera>, CaptureError> {
+pub fn cameras_of_colmap(
+    path: &Path,
+    limits: &ImportLimits,
+    up: impl Into<Up>,
+) -> Result<Vec<PhotoCamera>, CaptureError> {
     let source = CaptureFiles::open(path, limits)?;
     let reason = "has no COLMAP model (cameras and images, .bin or .txt)".to_owned();
     let files = colmap::find(&source)
         .ok_or_else(|| CaptureError::File { file: source.label().to_owned(), reason })?;
-    let mut photos = colmap::stated(&source, &files, UpAxis::Auto, &mut Vec::new())?;
+    let mut photos = colmap::stated(&source, &files, up.into(), &mut Vec::new())?;
     photos.sort_by(|a, b| a.image.cmp(&b.image));
     photos.into_iter().map(|photo| stated_camera(photo, None)).collect()
 }
