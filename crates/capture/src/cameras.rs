@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use glam::DMat4;
 use rayon::prelude::*;
 
 use crate::photos::{self, PhotoEntry, Split};
@@ -55,8 +56,8 @@ pub(super) fn of_photos(
 }
 
 /// The cameras that a `transforms*.json` states, without its photographs, in the order of its frames. The world is that of the
-/// file: [`crate::WorldUp::rotation`] rotates it to that of a capture, which is another one only if the capture was imported with
-/// another `up` or if the file's +Z is the mean up direction of its cameras.
+/// file, rotated if `up` is a direction. A path through a capture needs the direction that its import found ([`crate::WorldUp`]):
+/// it is not +Z if the file's +Z is only the mean up direction of the cameras.
 ///
 /// # Errors
 /// [`CaptureError`] names the field at fault; `w,h` where the file states no size and `size` is none.
@@ -64,12 +65,14 @@ pub fn cameras_of_transforms(
     file: &str,
     bytes: &[u8],
     size: Option<(u32, u32)>,
+    up: Up,
 ) -> Result<Vec<PhotoCamera>, CaptureError> {
+    let turn = DMat4::from_quat(up.stated().rotation());
     let set = transforms::parse(file, bytes, &ImportLimits::default())?;
     let photos = set.frames.into_iter().map(|frame| PhotoEntry {
         image: frame.path,
         mask: None,
-        pose: frame.pose,
+        pose: turn * frame.pose,
         lens: frame.lens,
         light_rotation_deg: frame.light_rotation_deg,
         stated_in: file.to_owned(),
@@ -110,4 +113,27 @@ fn stated_camera(photo: PhotoEntry, size: Option<(u32, u32)>) -> Result<PhotoCam
     let camera = photos::camera_at(&photo, size)?;
     let light_rotation_deg = photo.light_rotation_deg;
     Ok(PhotoCamera { name: photo.image, is_held_out: photo.split == Split::Test, camera, light_rotation_deg })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use relume_spec::training::UpAxis;
+    use serde_json::json;
+
+    #[test]
+    fn frames_are_rotated_by_a_stated_direction_only() {
+        let pose = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]];
+        let set = json!({ "w": 8, "h": 6, "fl_x": 9.0, "frames": [{ "file_path": "a", "transform_matrix": pose }] });
+        let centre = |up: Up| {
+            let cameras = cameras_of_transforms("frames", set.to_string().as_bytes(), None, up).unwrap();
+            cameras[0].camera.centre()
+        };
+        let wanted = Up::from(UpAxis::Y).stated().rotation() * DVec3::new(1.0, 2.0, 3.0);
+        assert!((centre(UpAxis::Y.into()) - wanted).length() < 1e-12 && (wanted.z - 2.0).abs() < 1e-12);
+        for up in [Up::AUTO, Up::MEAN] {
+            assert!((centre(up) - DVec3::new(1.0, 2.0, 3.0)).length() < 1e-12, "the world of the file");
+        }
+    }
 }

@@ -2,6 +2,7 @@
 
 use glam::{DQuat, DVec3};
 use relume_spec::training::UpAxis;
+use serde::{Deserialize, Serialize};
 
 /// The up direction that a caller of an import asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -25,7 +26,18 @@ impl Up {
 
     /// A direction in the axes of the files, of any length. `None` if it is zero or not finite.
     pub fn direction(direction: [f64; 3]) -> Option<Self> {
-        DVec3::from_array(direction).try_normalize().map(|unit| Self(Choice::Direction(unit)))
+        let direction = DVec3::from_array(direction);
+        // A recorded direction stays as it is, so that the rotation is the same to the last bit.
+        let unit = if direction.is_normalized() { Some(direction) } else { direction.try_normalize() };
+        unit.map(|unit| Self(Choice::Direction(unit)))
+    }
+
+    /// The stated direction, or +Z.
+    pub(super) fn stated(self) -> WorldUp {
+        match self.0 {
+            Choice::Direction(direction) => WorldUp::stated(direction),
+            Choice::Auto | Choice::Mean => WorldUp::default(),
+        }
     }
 }
 
@@ -45,7 +57,7 @@ impl From<UpAxis> for Up {
 }
 
 /// The direction in the files of a capture that an import rotated to +Z.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WorldUp {
     /// Unit length, in the axes of the files. An import with [`Up::direction`] of it has the same world.
     pub direction: [f64; 3],
@@ -63,18 +75,23 @@ impl Default for WorldUp {
 impl WorldUp {
     /// A unit vector that the layout or the caller states.
     pub(super) fn stated(direction: DVec3) -> Self {
-        Self { direction: direction.to_array(), note: None }
+        Self { direction: rounded(direction), note: None }
     }
 
     /// A unit vector with the evidence for it.
     pub(super) fn found(direction: DVec3, note: String) -> Self {
-        Self { direction: direction.to_array(), note: Some(note) }
+        Self { direction: rounded(direction), note: Some(note) }
     }
 
     /// The rotation from the axes of the files to those of the capture.
     pub fn rotation(&self) -> DQuat {
-        DQuat::from_rotation_arc(DVec3::from_array(self.direction), DVec3::Z)
+        DQuat::from_rotation_arc(DVec3::from_array(self.direction).normalize(), DVec3::Z)
     }
+}
+
+/// The components rounded to 12 decimals, so that they are the same after writing to and reading from JSON.
+fn rounded(direction: DVec3) -> [f64; 3] {
+    direction.to_array().map(|component| (component * 1e12).round() / 1e12 + 0.0)
 }
 
 #[cfg(test)]
@@ -89,6 +106,20 @@ mod tests {
         let Some(Up(Choice::Direction(unit))) = Up::direction([0.0, 3.0, 0.0]) else { panic!("the control") };
         assert_eq!((unit, Up::from(UpAxis::Y)), (DVec3::Y, Up(Choice::Direction(DVec3::Y))));
         assert_eq!(Up::from(UpAxis::Auto), Up::default());
+    }
+
+    #[test]
+    fn direction_read_from_json_gives_the_same_rotation() {
+        for i in 0..200 {
+            let angle = f64::from(i);
+            let found = WorldUp::stated(DVec3::new(angle.sin(), (1.7 * angle).cos(), 0.3).normalize());
+            let json = serde_json::to_string(&found).unwrap();
+            let read: WorldUp = serde_json::from_str(&json).unwrap();
+            let Some(Up(Choice::Direction(direction))) = Up::direction(read.direction) else {
+                panic!("{json}")
+            };
+            assert_eq!(WorldUp::stated(direction).rotation(), found.rotation(), "{json}");
+        }
     }
 
     #[test]

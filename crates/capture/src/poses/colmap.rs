@@ -123,7 +123,7 @@ fn checked_version(
 
 /// The names of the photographs with a pose in the model in `folder`.
 fn placed(folder: &Path) -> Result<Vec<String>, PoseError> {
-    let cameras = cameras_of_colmap(folder, &ImportLimits::default(), Up::AUTO)?;
+    let cameras = cameras_of_colmap(folder, &ImportLimits::default(), Up::MEAN)?;
     Ok(cameras.into_iter().map(|camera| camera.name).collect())
 }
 
