@@ -104,6 +104,7 @@ fn drawn_by(model: &Arc<Model>) -> Capture {
         lights: [("lamp".to_owned(), lamp)].into(),
         measured_light: None,
         grey_card: None,
+        up: Default::default(),
         warnings: Vec::new(),
     }
 }

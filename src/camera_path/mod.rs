@@ -10,7 +10,7 @@ use crate::camera_path::fields::{fields, pointer, refused};
 use relume_api::NerfstudioWorld;
 use relume_api::cameras::CameraSpec;
 use relume_api::problem::FieldError;
-use relume_capture::{CaptureError, PhotoCamera, cameras_of_transforms};
+use relume_capture::{CaptureError, PhotoCamera, Up, cameras_of_transforms};
 use relume_train::render::FrameView;
 
 /// Relume's own camera file. The answer of `GET /v1/captures/{id}/cameras` has this format.
@@ -79,10 +79,11 @@ fn own(json: &Value, otherwise: (u32, u32)) -> Result<Vec<FrameView>, FieldError
 
 fn of_transforms(json: &Value, size: (u32, u32)) -> Result<Vec<FrameView>, FieldError> {
     let bytes = json.to_string().into_bytes();
-    let cameras = cameras_of_transforms("frames", &bytes, Some(size)).map_err(|error| match &error {
-        CaptureError::Field { field, reason, .. } => refused(pointer(field), reason),
-        error => refused(String::new(), &error.to_string()),
-    })?;
+    let cameras =
+        cameras_of_transforms("frames", &bytes, Some(size), Up::AUTO).map_err(|error| match &error {
+            CaptureError::Field { field, reason, .. } => refused(pointer(field), reason),
+            error => refused(String::new(), &error.to_string()),
+        })?;
     Ok(cameras.iter().map(photo_view).collect())
 }
 

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use serde::Deserialize;
 
 pub use crate::cli::args::QualityArgs;
 use crate::cli::error::CommandResult;
@@ -13,8 +12,8 @@ use crate::cli::{input, output};
 use relume_capture::{Capture, ImportOptions, import};
 use relume_engine::{Device, DeviceChoice};
 use relume_scene::Model;
-use relume_spec::training::UpAxis;
 use relume_train::eval::{EvalOptions, Lpips, contact_sheet, evaluate};
+use relume_train::up_of_card;
 
 /// Side of a cell of the contact sheet, pixels.
 const CELL: u32 = 200;
@@ -103,7 +102,7 @@ pub fn run(args: &EvalArgs) -> CommandResult {
 
 /// The capture in the world of the model.
 fn load_capture(args: &EvalArgs, model: &Model) -> CommandResult<Capture> {
-    let up = model.card.pointer("/config/up").map_or(Ok(UpAxis::Auto), UpAxis::deserialize)?;
+    let up = up_of_card(&model.card)?;
     let options = ImportOptions { max_side: args.resolution, up, ..ImportOptions::default() };
     let mut capture = import(&args.capture, &options)?;
     if let Some(file) = &args.light_rotations {

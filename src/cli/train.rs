@@ -13,12 +13,14 @@ use crate::cli::progress::{ProgressKind, ProgressReporter, StepProgress};
 use crate::cli::setting_flags::SettingFlags;
 use crate::cli::stop::StopSignal;
 use relume_capture::formats::model_file;
-use relume_capture::{Capture, ImportLimits};
+use relume_capture::{Capture, ImportLimits, Up};
 use relume_engine::{Device, DeviceChoice};
 use relume_spec::training::{
     Crop, GreyCard, KnownLight, LightExposure, Method, Preset, TrainConfig, TrainOverrides, WhiteBalance,
 };
-use relume_train::{MemoryBudget, MemoryEstimate, PhotographSizes, Trainer, import_for_training};
+use relume_train::{
+    MemoryBudget, MemoryEstimate, PhotographSizes, Trainer, import_in_world, up_of_checkpoint,
+};
 
 /// Options of `relume train`.
 #[derive(Debug, clap::Args)]
@@ -110,13 +112,15 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
     let device = Device::open(args.device)?;
     progress.status(&format!("device: {}", device.name()));
     let budget = MemoryBudget::beside(&device);
-    let mut capture = import_for_training(&path, &config, &ImportLimits::default(), budget)?;
+    let up = resumed_up(args.checkpoint.as_deref())?.unwrap_or(config.up.into());
+    let mut capture = import_in_world(&path, &config, up, &ImportLimits::default(), budget)?;
     if let (Some(known), Some(map)) = (&config.light, light) {
         relume_train::illuminate(known, &mut capture, map);
     }
     for warning in &capture.warnings {
         progress.warning(warning);
     }
+    capture.up.note.iter().for_each(|note| progress.status(note));
     let (trained, held_out) = (capture.train.len(), capture.test.len());
     progress.status(&format!("{}: {trained} images to train on, {held_out} held out", capture.layout));
     let need = MemoryEstimate::of(&PhotographSizes::of(&capture), &config, budget.on_device);
@@ -208,6 +212,14 @@ impl<'a> CheckpointFile<'a> {
     fn new(file: &'a Path, config: &TrainConfig) -> CommandResult<Self> {
         Ok(Self { file, every: config.checkpoint_every.max(1), stop: StopSignal::listen()? })
     }
+}
+
+/// The up direction of the training that the checkpoint continues, if the file exists.
+fn resumed_up(checkpoint: Option<&Path>) -> CommandResult<Option<Up>> {
+    let Some(file) = checkpoint.filter(|file| file.exists()) else { return Ok(None) };
+    let named = |error: &dyn Error| format!("{}: {error}", file.display());
+    let bytes = std::fs::read(file).map_err(|error| named(&error))?;
+    Ok(Some(up_of_checkpoint(&bytes).map_err(|error| named(&error))?))
 }
 
 /// Resumes from the checkpoint if the file exists; otherwise starts a training.

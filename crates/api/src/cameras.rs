@@ -194,8 +194,8 @@ pub enum CameraAxes {
 
 /// World-to-camera pose in OpenCV axes, `x_camera = R(qvec) x_world + tvec`, as in COLMAP's `images.txt`.
 ///
-/// The world is the world of the capture: COLMAP's world, rotated so that the mean up direction of the
-/// photographs is +Z.
+/// The world is the world of the capture: COLMAP's world, rotated so that the up direction of the
+/// capture is +Z.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ColmapPose {

@@ -157,6 +157,7 @@ fn capture(side: u32) -> Capture {
         lights: Default::default(),
         measured_light: None,
         grey_card: None,
+        up: Default::default(),
         warnings: Vec::new(),
     }
 }

@@ -7,7 +7,7 @@ use crate::photos::{PhotoEntry, Split};
 use crate::transforms::{self, Transforms};
 use crate::truth::{AlbedoEncoding, TruthFiles, albedo_encoding};
 use crate::upright::{self, StatedUp, upright};
-use crate::{CaptureError, CaptureFiles, layout};
+use crate::{CaptureError, CaptureFiles, Up, WorldUp, layout};
 
 /// The file that marks this layout.
 pub(super) const MARKER: &str = "transforms_train.json";
@@ -19,9 +19,9 @@ pub(super) const MARKER: &str = "transforms_train.json";
 pub(super) fn read(
     source: &CaptureFiles,
     marker: &str,
-    up: UpAxis,
+    up: Up,
     warnings: &mut Vec<String>,
-) -> Result<Vec<PhotoEntry>, CaptureError> {
+) -> Result<(Vec<PhotoEntry>, WorldUp), CaptureError> {
     let folder = layout::folder_of(marker);
     let albedo = albedo_encoding(source, &folder)?;
     let mut photos = Vec::new();
@@ -35,18 +35,17 @@ pub(super) fn read(
         finder.finish(file, photos.len(), warnings)?;
     }
     let has_truth = photos.iter().any(|photo| photo.image.contains("/rgba"));
-    match (up, has_truth) {
-        (UpAxis::Auto | UpAxis::Z, true) => {}
-        (_, true) => {
+    if has_truth {
+        if ![Up::AUTO, Up::MEAN, UpAxis::Z.into()].contains(&up) {
             let reason = "has ground truth, whose normals have +Z up; `up` must be auto or z".to_owned();
             return Err(CaptureError::File { file: marker.to_owned(), reason });
         }
-        (_, false) => {
-            let poses: Vec<_> = photos.iter().map(|photo| photo.pose).collect();
-            upright::rotate(upright(&poses, up, StatedUp::PlusZ, warnings), &mut photos, &mut []);
-        }
+        return Ok((photos, WorldUp::default()));
     }
-    Ok(photos)
+    let poses: Vec<_> = photos.iter().map(|photo| photo.pose).collect();
+    let world = upright(&poses, &[], up, StatedUp::PlusZ, warnings);
+    upright::rotate(world.rotation(), &mut photos, &mut []);
+    Ok((photos, world))
 }
 
 /// Adds a file's photographs; returns the finder that knows which are missing.

@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
+use glam::DMat4;
 use rayon::prelude::*;
-use relume_spec::training::UpAxis;
 
 use crate::photos::{self, PhotoEntry, Split};
 use crate::truth::TruthFiles;
-use crate::{CaptureError, CaptureFiles, ImportLimits, colmap, import, transforms};
+use crate::{CaptureError, CaptureFiles, ImportLimits, Up, colmap, import, transforms};
 use relume_scene::Camera;
 
 /// The camera of a photograph.
@@ -28,10 +28,14 @@ pub struct PhotoCamera {
 ///
 /// # Errors
 /// [`CaptureError`] names the file and field at fault.
-pub fn cameras(path: &Path, limits: &ImportLimits, up: UpAxis) -> Result<Vec<PhotoCamera>, CaptureError> {
+pub fn cameras(
+    path: &Path,
+    limits: &ImportLimits,
+    up: impl Into<Up>,
+) -> Result<Vec<PhotoCamera>, CaptureError> {
     let source = CaptureFiles::open(path, limits)?;
-    let (_, photos, _) = import::read_layout(&source, up, &mut Vec::new())?;
-    of_photos(&source, &photos)
+    let layout = import::read_layout(&source, up.into(), &mut Vec::new())?;
+    of_photos(&source, &layout.photos)
 }
 
 /// The cameras of photographs, in their order.
@@ -52,7 +56,8 @@ pub(super) fn of_photos(
 }
 
 /// The cameras that a `transforms*.json` states, without its photographs, in the order of its frames. The world is that of the
-/// file, and of a capture that was imported without another `up`.
+/// file, rotated if `up` is a direction. A path through a capture needs the direction that its import found ([`crate::WorldUp`]):
+/// it is not +Z if the file's +Z is only the mean up direction of the cameras.
 ///
 /// # Errors
 /// [`CaptureError`] names the field at fault; `w,h` where the file states no size and `size` is none.
@@ -60,12 +65,14 @@ pub fn cameras_of_transforms(
     file: &str,
     bytes: &[u8],
     size: Option<(u32, u32)>,
+    up: Up,
 ) -> Result<Vec<PhotoCamera>, CaptureError> {
+    let turn = DMat4::from_quat(up.stated().rotation());
     let set = transforms::parse(file, bytes, &ImportLimits::default())?;
     let photos = set.frames.into_iter().map(|frame| PhotoEntry {
         image: frame.path,
         mask: None,
-        pose: frame.pose,
+        pose: turn * frame.pose,
         lens: frame.lens,
         light_rotation_deg: frame.light_rotation_deg,
         stated_in: file.to_owned(),
@@ -77,16 +84,20 @@ pub fn cameras_of_transforms(
 }
 
 /// The cameras of a folder or archive with a COLMAP model, without its photographs, sorted by name. The world is that
-/// of the capture: COLMAP's world, rotated so that the mean up of these cameras is +Z.
+/// of a capture with this model that was imported with the same `up`.
 ///
 /// # Errors
 /// [`CaptureError`] names the file and field at fault, or says that there is no model.
-pub fn cameras_of_colmap(path: &Path, limits: &ImportLimits) -> Result<Vec<PhotoCamera>, CaptureError> {
+pub fn cameras_of_colmap(
+    path: &Path,
+    limits: &ImportLimits,
+    up: impl Into<Up>,
+) -> Result<Vec<PhotoCamera>, CaptureError> {
     let source = CaptureFiles::open(path, limits)?;
     let reason = "has no COLMAP model (cameras and images, .bin or .txt)".to_owned();
     let files = colmap::find(&source)
         .ok_or_else(|| CaptureError::File { file: source.label().to_owned(), reason })?;
-    let mut photos = colmap::stated(&source, &files, UpAxis::Auto, &mut Vec::new())?;
+    let mut photos = colmap::stated(&source, &files, up.into(), &mut Vec::new())?;
     photos.sort_by(|a, b| a.image.cmp(&b.image));
     photos.into_iter().map(|photo| stated_camera(photo, None)).collect()
 }
@@ -102,4 +113,27 @@ fn stated_camera(photo: PhotoEntry, size: Option<(u32, u32)>) -> Result<PhotoCam
     let camera = photos::camera_at(&photo, size)?;
     let light_rotation_deg = photo.light_rotation_deg;
     Ok(PhotoCamera { name: photo.image, is_held_out: photo.split == Split::Test, camera, light_rotation_deg })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use relume_spec::training::UpAxis;
+    use serde_json::json;
+
+    #[test]
+    fn frames_are_rotated_by_a_stated_direction_only() {
+        let pose = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]];
+        let set = json!({ "w": 8, "h": 6, "fl_x": 9.0, "frames": [{ "file_path": "a", "transform_matrix": pose }] });
+        let centre = |up: Up| {
+            let cameras = cameras_of_transforms("frames", set.to_string().as_bytes(), None, up).unwrap();
+            cameras[0].camera.centre()
+        };
+        let wanted = Up::from(UpAxis::Y).stated().rotation() * DVec3::new(1.0, 2.0, 3.0);
+        assert!((centre(UpAxis::Y.into()) - wanted).length() < 1e-12 && (wanted.z - 2.0).abs() < 1e-12);
+        for up in [Up::AUTO, Up::MEAN] {
+            assert!((centre(up) - DVec3::new(1.0, 2.0, 3.0)).length() < 1e-12, "the world of the file");
+        }
+    }
 }

@@ -10,10 +10,9 @@ use crate::formats::ply_points::Point;
 use crate::layout::{self, FoundLayout};
 use crate::photos::{self, PhotoEntry, Split};
 use crate::{
-    Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, PhotoCamera, blender, bounds, cameras,
-    colmap, identical, images, llff, masks, nerfstudio, polycam, rig, selection, truth,
+    Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, PhotoCamera, Up, WorldUp, blender,
+    bounds, cameras, colmap, identical, images, llff, masks, nerfstudio, polycam, rig, selection, truth,
 };
-use relume_spec::training::UpAxis;
 use relume_spec::{CaptureReport, PhotographNote};
 
 /// One in this many views, by sorted name, is held out where the set names no test views.
@@ -48,9 +47,9 @@ impl UndecodedCapture {
         let source = CaptureFiles::open(path, &options.limits)?;
         let mut warnings = Vec::new();
         let mut layout = read_layout(&source, options.up, &mut warnings)?;
-        rig::check(&layout.1, &layout.2, &mut warnings)?;
-        masks::find(&source, &mut layout.1, &mut warnings);
-        let sizes = photos::sizes(&source, &layout.1, options)?;
+        rig::check(&layout.photos, &layout.points, &mut warnings)?;
+        masks::find(&source, &mut layout.photos, &mut warnings);
+        let sizes = photos::sizes(&source, &layout.photos, options)?;
         Ok(Self { source, options: *options, layout, warnings, sizes, decoded: BTreeMap::new() })
     }
 
@@ -65,17 +64,22 @@ impl UndecodedCapture {
     /// # Errors
     /// As [`import`].
     pub fn cameras(&self) -> Result<Vec<PhotoCamera>, CaptureError> {
-        cameras::of_photos(&self.source, &self.layout.1)
+        cameras::of_photos(&self.source, &self.layout.photos)
     }
 
     /// Positions of the sparse points.
     pub fn points(&self) -> impl Iterator<Item = DVec3> {
-        self.layout.2.iter().map(|(position, _)| *position)
+        self.layout.points.iter().map(|(position, _)| *position)
+    }
+
+    /// The direction in the files that became +Z.
+    pub fn up(&self) -> &WorldUp {
+        &self.layout.up
     }
 
     /// How many photographs are held out.
     pub fn held_out(&self) -> usize {
-        splits(&self.layout.1).iter().filter(|split| **split == Split::Test).count()
+        splits(&self.layout.photos).iter().filter(|split| **split == Split::Test).count()
     }
 
     /// Least number of bytes of memory for a pixel with its mask, over the first, the middle and the last photograph;
@@ -84,7 +88,7 @@ impl UndecodedCapture {
     /// # Errors
     /// As [`import`], of those photographs.
     pub fn bytes_a_pixel(&mut self) -> Result<f64, CaptureError> {
-        let photos = &self.layout.1;
+        let photos = &self.layout.photos;
         let chosen: BTreeSet<usize> =
             (0..photos.len()).step_by((photos.len() / 2).max(1)).chain(photos.len().checked_sub(1)).collect();
         let entries: Vec<_> = chosen.iter().map(|i| photos[*i].clone()).collect();
@@ -107,7 +111,8 @@ impl UndecodedCapture {
         self,
         image_checks: Option<&ImageChecks>,
     ) -> Result<(Capture, CaptureFiles), CaptureError> {
-        let Self { source, options, layout: (layout, photos, points), mut warnings, mut decoded, .. } = self;
+        let Self { source, options, layout, mut warnings, mut decoded, .. } = self;
+        let Layout { name: layout, photos, points, up } = layout;
         let missing = photos.iter().enumerate().filter(|(i, _)| !decoded.contains_key(i));
         let missing: Vec<PhotoEntry> = missing.map(|(_, photo)| photo.clone()).collect();
         let mut loaded = photos::load(&source, &missing, &options, image_checks)?.into_iter();
@@ -130,6 +135,7 @@ impl UndecodedCapture {
             lights,
             measured_light,
             grey_card,
+            up,
             warnings,
         };
         Ok((capture, source))
@@ -144,12 +150,16 @@ impl UndecodedCapture {
 pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, CaptureError> {
     let image_checks = ImageChecks::default();
     let undecoded = UndecodedCapture::open(path, &ImportOptions { max_side: Some(THUMBNAIL), ..*options })?;
-    let lenses: BTreeMap<String, _> =
-        undecoded.layout.1.iter().map(|photo| (photo.image.clone(), photo.lens.approximate_size())).collect();
+    let lenses: BTreeMap<String, _> = undecoded
+        .layout
+        .photos
+        .iter()
+        .map(|photo| (photo.image.clone(), photo.lens.approximate_size()))
+        .collect();
     let (capture, source) = undecoded.decode_and_check(Some(&image_checks))?;
     let mut report = capture.report();
     let noted = |finding: Finding| PhotographNote { text: finding.text, photographs: finding.photos };
-    report.notes = image_checks.findings().into_iter().map(noted).collect();
+    report.notes.extend(image_checks.findings().into_iter().map(noted));
     if let Some(view) = capture.train.first() {
         let lens_size = lenses.get(&view.name).copied().flatten();
         (report.width, report.height) = images::photo_size(&source, &view.name, lens_size)?;
@@ -160,23 +170,32 @@ pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, Ca
 /// Longest side of the images that [`inspect`] keeps, pixels.
 const THUMBNAIL: u32 = 64;
 
-/// The layout's name, its photographs and its points.
-pub(super) type Layout = (String, Vec<PhotoEntry>, Vec<Point>);
+/// The contents of a capture before its photographs are decoded.
+#[derive(Debug)]
+pub(super) struct Layout {
+    /// Name of the layout.
+    pub name: String,
+    pub photos: Vec<PhotoEntry>,
+    /// Sparse points; none in most layouts.
+    pub points: Vec<Point>,
+    /// The direction in the files that became +Z.
+    pub up: WorldUp,
+}
 
 /// Reads the poses of any layout. Each photograph occurs once.
 pub(super) fn read_layout(
     source: &CaptureFiles,
-    up: UpAxis,
+    up: Up,
     warnings: &mut Vec<String>,
 ) -> Result<Layout, CaptureError> {
     let mut layout = read_any_layout(source, up, warnings)?;
-    rig::remove_repeated(&mut layout.1, warnings)?;
+    rig::remove_repeated(&mut layout.photos, warnings)?;
     Ok(layout)
 }
 
 fn read_any_layout(
     source: &CaptureFiles,
-    up: UpAxis,
+    up: Up,
     warnings: &mut Vec<String>,
 ) -> Result<Layout, CaptureError> {
     let Some(found) = layout::find(source)? else {
@@ -191,18 +210,21 @@ fn read_any_layout(
         };
         return Err(CaptureError::UnknownLayout { reason });
     };
-    let (name, (photos, points)) = match found {
+    let no_points = |(photos, up)| (photos, Vec::new(), up);
+    let (name, (photos, points, up)) = match found {
         FoundLayout::Blender(marker) => {
-            let photos = blender::read(source, &marker, up, warnings)?;
+            let (photos, up) = blender::read(source, &marker, up, warnings)?;
             let in_own_folders = photos.iter().all(|p| p.image.contains("/rgba"));
-            (if in_own_folders { "tensoir" } else { "nerf-synthetic" }, (photos, Vec::new()))
+            (if in_own_folders { "tensoir" } else { "nerf-synthetic" }, (photos, Vec::new(), up))
         }
         FoundLayout::Nerfstudio(marker) => ("nerfstudio", nerfstudio::read(source, &marker, up, warnings)?),
         FoundLayout::Colmap(files) => ("colmap", colmap::read(source, &files, up, warnings)?),
-        FoundLayout::Llff(marker) => ("llff", (llff::read(source, &marker, up, warnings)?, Vec::new())),
-        FoundLayout::Polycam(folders) => ("polycam", polycam::read(source, &folders, up, warnings)?),
+        FoundLayout::Llff(marker) => ("llff", no_points(llff::read(source, &marker, up, warnings)?)),
+        FoundLayout::Polycam(folders) => {
+            ("polycam", no_points(polycam::read(source, &folders, up, warnings)?))
+        }
     };
-    Ok((name.to_owned(), photos, points))
+    Ok(Layout { name: name.to_owned(), photos, points, up })
 }
 
 /// The use of each photograph: as the set states, else every [`HOLD_OUT_EVERY`]th by sorted name is held out.
@@ -229,7 +251,7 @@ fn split(photos: &[PhotoEntry], views: Vec<CaptureView>) -> (Vec<CaptureView>, V
 }
 
 impl Capture {
-    /// A summary of the capture, without notes about its photographs.
+    /// A summary of the capture. Of the notes it has only that on the up direction.
     pub fn report(&self) -> CaptureReport {
         let (width, height) = self.train.first().map_or((0, 0), |v| (v.image.width, v.image.height));
         CaptureReport {
@@ -245,7 +267,12 @@ impl Capture {
             centre: self.bounds.centre.to_array(),
             radius: self.bounds.radius,
             warnings: self.warnings.clone(),
-            notes: Vec::new(),
+            notes: self
+                .up
+                .note
+                .iter()
+                .map(|text| PhotographNote { text: text.clone(), photographs: Vec::new() })
+                .collect(),
         }
     }
 }

@@ -1,7 +1,6 @@
 //! LLFF: `poses_bounds.npy` beside `images/`, one row for each photograph in the order of their names.
 
 use glam::{DMat3, DMat4, DVec3};
-use relume_spec::training::UpAxis;
 
 use crate::distortion::Distortion;
 use crate::lens::Lens;
@@ -10,7 +9,7 @@ use crate::photos::{PhotoEntry, Split};
 use crate::selection::PHOTOGRAPHS;
 use crate::truth::TruthFiles;
 use crate::upright::{StatedUp, upright};
-use crate::{CaptureError, CaptureFiles, layout, masks};
+use crate::{CaptureError, CaptureFiles, Up, WorldUp, layout, masks};
 
 /// The file that marks this layout.
 pub(super) const MARKER: &str = "poses_bounds.npy";
@@ -19,16 +18,16 @@ const IMAGE_FOLDERS: [&str; 4] = ["images", "images_2", "images_4", "images_8"];
 /// Values in a row: a 3 x 5 matrix, nearest and farthest depth.
 const COLUMNS: usize = 17;
 
-/// The photographs, in a world rotated so that the cameras' mean up is +Z. This layout has no lens distortion.
+/// The photographs, in a world rotated so that up is +Z. This layout has no lens distortion.
 ///
 /// # Errors
 /// Names the row at fault, or says that the numbers of poses and photographs differ.
 pub(super) fn read(
     source: &CaptureFiles,
     marker: &str,
-    up: UpAxis,
+    up: Up,
     warnings: &mut Vec<String>,
-) -> Result<Vec<PhotoEntry>, CaptureError> {
+) -> Result<(Vec<PhotoEntry>, WorldUp), CaptureError> {
     let file_error = |reason: String| CaptureError::File { file: marker.to_owned(), reason };
     let rows = rows(&source.read(marker)?).map_err(file_error)?;
     let images = images(source, &layout::folder_of(marker));
@@ -39,7 +38,8 @@ pub(super) fn read(
     PhotoFinder::new(source, Vec::new()).finish(marker, images.len(), warnings)?;
     let poses =
         rows.iter().enumerate().map(|(i, row)| pose(marker, i, row)).collect::<Result<Vec<_>, _>>()?;
-    let turn = DMat4::from_quat(upright(&poses, up, StatedUp::No("LLFF"), warnings));
+    let world = upright(&poses, &[], up, StatedUp::No("LLFF"), warnings);
+    let turn = DMat4::from_quat(world.rotation());
     let photo = |(i, ((image, row), pose)): (usize, ((String, &[f64; COLUMNS]), DMat4))| {
         let [height, width, focal] = [row[4], row[9], row[14]];
         PhotoEntry {
@@ -60,7 +60,7 @@ pub(super) fn read(
             truth: TruthFiles::default(),
         }
     };
-    Ok(images.into_iter().zip(&rows).zip(poses).enumerate().map(photo).collect())
+    Ok((images.into_iter().zip(&rows).zip(poses).enumerate().map(photo).collect(), world))
 }
 
 /// The photographs in the folders of `root`, by name.
@@ -181,7 +181,7 @@ mod tests {
         std::fs::write(folder.path().join(MARKER), npy("3, 17", &values)).unwrap();
         let capture = import(folder.path(), &ImportOptions::default()).unwrap();
         assert_eq!((capture.layout.as_str(), capture.train.len(), capture.test.len()), ("llff", 2, 1));
-        // The mean up of the cameras is rotated to +Z, so the test compares relative poses.
+        // The up direction of the cameras is rotated to +Z, so the test compares relative poses.
         for (view, camera) in capture.train.iter().zip(&cameras[1..]) {
             let seen = view.camera.forward().dot(capture.test[0].camera.forward());
             let stated = camera.forward().dot(cameras[0].forward());

@@ -1,31 +1,30 @@
 //! nerfstudio and Instant-NGP: one `transforms.json`, shared or per-frame intrinsics, masks, a point cloud.
 
-use relume_spec::training::UpAxis;
-
 use crate::formats::ply_points::{self, Point};
 use crate::masks::MaskFile;
 use crate::photo_finder::PhotoFinder;
 use crate::photos::{PhotoEntry, Split};
 use crate::truth::TruthFiles;
 use crate::upright::{self, StatedUp, upright};
-use crate::{CaptureError, CaptureFiles, layout, rig, transforms};
+use crate::{CaptureError, CaptureFiles, Up, WorldUp, layout, rig, transforms};
 
 /// The file that marks this layout.
 pub(super) const MARKER: &str = "transforms.json";
 
-/// The photographs of the JSON file `marker` and the points of its `ply_file_path`. The world is rotated if `up` says so or the
-/// cameras agree on another axis than +Z.
+/// The photographs of the JSON file `marker` and the points of its `ply_file_path`. The world is rotated if `up` says so
+/// or its +Z is only the mean up direction of the cameras.
 ///
 /// # Errors
 /// Names the field of the file, the mask or the point cloud at fault.
 pub(super) fn read(
     source: &CaptureFiles,
     marker: &str,
-    up: UpAxis,
+    up: Up,
     warnings: &mut Vec<String>,
-) -> Result<(Vec<PhotoEntry>, Vec<Point>), CaptureError> {
+) -> Result<(Vec<PhotoEntry>, Vec<Point>, WorldUp), CaptureError> {
     let set = transforms::read(source, marker)?;
     let mut finder = PhotoFinder::new(source, vec![layout::folder_of(marker), String::new()]);
+    let stated = StatedUp::plus_z(&set.frames.iter().map(|frame| frame.pose).collect::<Vec<_>>());
     let mut photos = Vec::new();
     let images = finder.find_all(&set.frames.iter().map(|frame| frame.path.as_str()).collect::<Vec<_>>());
     for (frame, image) in set.frames.into_iter().zip(images) {
@@ -46,8 +45,9 @@ pub(super) fn read(
     let mut points = set.points.map_or(Ok(Vec::new()), |file| read_cloud(source, marker, &file, warnings))?;
     rig::convert_opencv_axes(&mut photos, warnings);
     let poses: Vec<_> = photos.iter().map(|photo| photo.pose).collect();
-    upright::rotate(upright(&poses, up, StatedUp::PlusZ, warnings), &mut photos, &mut points);
-    Ok((photos, points))
+    let world = upright(&poses, &points, up, stated, warnings);
+    upright::rotate(world.rotation(), &mut photos, &mut points);
+    Ok((photos, points, world))
 }
 
 /// The point cloud: the named file, or the only file of its name. A missing one is a warning, since training does not need

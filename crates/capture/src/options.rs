@@ -1,7 +1,6 @@
 //! Limits and options of an import.
 
-use relume_spec::training::UpAxis;
-
+use crate::Up;
 use crate::formats::image_file;
 
 /// Bounds on what an import accepts, since archives are untrusted.
@@ -45,7 +44,7 @@ impl Default for ImportLimits {
 }
 
 /// Options of an import.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImportOptions {
     /// Longest image side, pixels. Larger photographs are reduced by area averaging right after decoding, and their
     /// cameras are scaled with them. `None` keeps the stored size.
@@ -55,12 +54,12 @@ pub struct ImportOptions {
     /// Load ground-truth layers of test views and the lights they name.
     pub load_truth: bool,
     /// Direction in the files that is up.
-    pub up: UpAxis,
+    pub up: Up,
 }
 
 impl Default for ImportOptions {
     fn default() -> Self {
-        Self { max_side: None, limits: ImportLimits::default(), load_truth: true, up: UpAxis::Auto }
+        Self { max_side: None, limits: ImportLimits::default(), load_truth: true, up: Up::AUTO }
     }
 }
 

@@ -4,9 +4,8 @@ use std::path::Path;
 
 use crate::cameras::{self, PhotoCamera};
 use crate::photos::{self, PhotoEntry};
-use crate::{CaptureError, CaptureFiles, ImportLimits, ImportOptions, images, import};
+use crate::{CaptureError, CaptureFiles, ImportLimits, ImportOptions, Up, images, import};
 use relume_scene::ImageRgba;
-use relume_spec::training::UpAxis;
 
 /// Upper bound on the bytes of a pixel of a decoded file: floats with alpha.
 const STORED_PIXEL: u64 = 16;
@@ -36,7 +35,7 @@ impl CapturePhotos {
     /// [`CaptureError`] names the file and field at fault.
     pub fn open(path: &Path, limits: &ImportLimits) -> Result<Self, CaptureError> {
         let source = CaptureFiles::open(path, limits)?;
-        let (_, photos, _) = import::read_layout(&source, UpAxis::Auto, &mut Vec::new())?;
+        let photos = import::read_layout(&source, Up::AUTO, &mut Vec::new())?.photos;
         Ok(Self { source, photos })
     }
 
@@ -49,12 +48,13 @@ impl CapturePhotos {
     ///
     /// # Errors
     /// [`CaptureError`] names the file and field at fault.
-    pub fn cameras(&self, up: UpAxis) -> Result<Vec<PhotoCamera>, CaptureError> {
-        if up == UpAxis::Auto {
+    pub fn cameras(&self, up: impl Into<Up>) -> Result<Vec<PhotoCamera>, CaptureError> {
+        let up = up.into();
+        if up == Up::AUTO {
             return cameras::of_photos(&self.source, &self.photos);
         }
-        let (_, photos, _) = import::read_layout(&self.source, up, &mut Vec::new())?;
-        cameras::of_photos(&self.source, &photos)
+        let layout = import::read_layout(&self.source, up, &mut Vec::new())?;
+        cameras::of_photos(&self.source, &layout.photos)
     }
 
     /// Whether `name` is a photograph of the capture. Other files of the archive are not photographs.

@@ -1,9 +1,7 @@
 //! Polycam's raw data: `keyframes/cameras` has a JSON file of pose and intrinsics for each photograph in `keyframes/images`.
 
 use glam::{DMat4, DVec4};
-use relume_spec::training::UpAxis;
 
-use crate::formats::ply_points::Point;
 use crate::json::parse_json;
 use crate::json_fields::Fields;
 use crate::photo_finder::PhotoFinder;
@@ -11,7 +9,7 @@ use crate::photos::{PhotoEntry, Split};
 use crate::stated_lens::StatedLens;
 use crate::truth::TruthFiles;
 use crate::upright::{self, StatedUp, upright};
-use crate::{CaptureError, CaptureFiles};
+use crate::{CaptureError, CaptureFiles, Up, WorldUp};
 
 /// Folders of cameras and of their photographs; the first pair that is there is used. The corrected ones exist if Polycam closed
 /// the loops of the camera's path.
@@ -51,9 +49,9 @@ pub(super) fn find(source: &CaptureFiles) -> Option<PolycamFolders> {
 pub(super) fn read(
     source: &CaptureFiles,
     folders: &PolycamFolders,
-    up: UpAxis,
+    up: Up,
     warnings: &mut Vec<String>,
-) -> Result<(Vec<PhotoEntry>, Vec<Point>), CaptureError> {
+) -> Result<(Vec<PhotoEntry>, WorldUp), CaptureError> {
     let mut finder = PhotoFinder::new(source, vec![folders.images.clone()]);
     let mut photos = Vec::new();
     let files = source.paths_under(folders.cameras.trim_end_matches('/'));
@@ -85,8 +83,9 @@ pub(super) fn read(
     finder.finish(&folders.cameras, photos.len(), warnings)?;
     let poses: Vec<_> = photos.iter().map(|photo| photo.pose).collect();
     // The phone knows the direction of gravity, so the cameras' up directions are not needed.
-    upright::rotate(upright(&poses, up, StatedUp::PlusZ, &mut Vec::new()), &mut photos, &mut []);
-    Ok((photos, Vec::new()))
+    let world = upright(&poses, &[], up, StatedUp::PlusZ, &mut Vec::new());
+    upright::rotate(world.rotation(), &mut photos, &mut []);
+    Ok((photos, world))
 }
 
 /// Camera-to-world, OpenGL axes, from the fields `t_00` to `t_23`. The rows are permuted so that +Y becomes +Z.

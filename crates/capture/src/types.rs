@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::DVec3;
 
+use crate::WorldUp;
 use relume_scene::{Camera, EnvMap, ImageRgba, PackedImage, Plane};
 
 /// Ground truth that a synthetic set may have for a view.
@@ -69,6 +70,8 @@ pub struct Capture {
     pub measured_light: Option<EnvMap>,
     /// Measured colour of a grey card in the photographs, linear Rec.709; no importer sets it.
     pub grey_card: Option<[f32; 3]>,
+    /// The direction in the files that became +Z.
+    pub up: WorldUp,
     /// Problems that did not stop the import, e.g. missing images by name.
     pub warnings: Vec<String>,
 }

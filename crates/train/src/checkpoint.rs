@@ -12,11 +12,12 @@ use crate::crop::{Region, SILHOUETTE, SubjectCrop};
 use crate::dataset::Gain;
 use crate::error::TrainError;
 use crate::state::ScheduleState;
+use relume_capture::WorldUp;
 use relume_capture::formats::model_file::{self, Tensor, floats};
 use relume_engine::{DensityStats, Moments, TrainState};
 use relume_scene::light::LightColour;
 use relume_scene::{Field, Gaussians, MAX_LIGHTS};
-use relume_spec::training::TrainConfig;
+use relume_spec::training::{TrainConfig, UpAxis};
 
 const VERSION: u32 = 1;
 const HEADER_KEY: &str = "relume_checkpoint";
@@ -41,6 +42,9 @@ struct Header {
     gains: Vec<Vec<Gain>>,
     #[serde(default)]
     lights: Vec<f32>,
+    /// Absent in checkpoints of versions that did not record it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    up: Option<WorldUp>,
     /// Region of the crop, and number of Gaussians before it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     cut: Option<(Region, usize)>,
@@ -85,6 +89,7 @@ pub fn encode(
         light_colour: schedule.light_colour,
         gains: schedule.gains.clone(),
         lights: schedule.lights.clone(),
+        up: schedule.up.clone(),
         cut: schedule.cut.as_ref().map(|cut| (cut.region, cut.gaussians.len())),
         labels: state.labels.len(),
         gathered: state.gathered.len(),
@@ -121,11 +126,7 @@ pub fn encode(
     safetensors::serialize(tensors, Some(metadata)).map_err(|e| bad("container", e))
 }
 
-/// Reads a checkpoint of the same configuration.
-///
-/// # Errors
-/// Names the part that is missing, damaged, or from another configuration.
-pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, TrainState), TrainError> {
+fn header(bytes: &[u8]) -> Result<Header, TrainError> {
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| bad("container", e))?;
     let text = metadata.metadata().as_ref().and_then(|m| m.get(HEADER_KEY));
     let text = text.ok_or_else(|| bad("header", "is missing: this is not a checkpoint"))?;
@@ -133,6 +134,24 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
     if header.version != VERSION {
         return Err(bad("version", format!("is {}; this build reads {VERSION}", header.version)));
     }
+    Ok(header)
+}
+
+/// The setting `up` of a checkpoint, and the direction that it recorded.
+///
+/// # Errors
+/// [`TrainError::Checkpoint`] if the header is damaged or of another version.
+pub fn up(bytes: &[u8]) -> Result<(UpAxis, Option<WorldUp>), TrainError> {
+    let header = header(bytes)?;
+    Ok((header.config.up, header.up))
+}
+
+/// Reads a checkpoint of the same configuration.
+///
+/// # Errors
+/// Names the part that is missing, damaged, or from another configuration.
+pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, TrainState), TrainError> {
+    let header = header(bytes)?;
     if header.config != *config {
         return Err(bad("config", "differs from the configuration of this training"));
     }
@@ -194,6 +213,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         light_colour: header.light_colour,
         gains: header.gains,
         lights: header.lights,
+        up: header.up,
         cut: header.cut.map(cut).transpose()?,
     };
     Ok((schedule, state))
@@ -230,12 +250,14 @@ mod tests {
             light_colour: Some(LightColour { blue_over_red: 0.25, green: -0.5 }),
             gains: vec![vec![[1.1, 1.0, 0.9]; 2]],
             lights: vec![0.25],
+            up: Some(WorldUp::default()),
             cut: None,
         };
         let plain = state();
         let bytes = encode(&schedule, &plain, &config).unwrap();
         assert!(!String::from_utf8_lossy(&bytes).contains("light_shares"));
         assert_eq!(decode(&bytes, &config).unwrap(), (schedule.clone(), plain));
+        assert_eq!(up(&bytes).unwrap(), (UpAxis::Auto, schedule.up.clone()));
         let mut lit = state();
         let light = SplitLight { direction: [0.0, 0.0, 1.0], radius: 0.02 };
         lit.model.lights = LightSplit { lights: vec![light], shares: vec![[0.5, 0.0, 0.0, 0.0]; 8] };

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::TrainError;
 use crate::memory::{self, MemoryBudget, PhotographSizes};
-use relume_capture::{Capture, ImportLimits, ImportOptions, UndecodedCapture};
+use relume_capture::{Capture, ImportLimits, ImportOptions, UndecodedCapture, Up};
 use relume_spec::training::TrainConfig;
 
 /// A capture at the resolution of the training, without ground truth, so that no memory holds unused pixels. It has
@@ -21,12 +21,22 @@ pub fn import_for_training(
     limits: &ImportLimits,
     budget: MemoryBudget,
 ) -> Result<Capture, TrainError> {
-    let options = ImportOptions {
-        max_side: Some(config.resolution),
-        limits: *limits,
-        load_truth: false,
-        up: config.up,
-    };
+    import_in_world(path, config, config.up.into(), limits, budget)
+}
+
+/// [`import_for_training`] with another up direction than that of `config`: the recorded one of a checkpoint
+/// ([`crate::up_of_checkpoint`]), so that the resumed training has its world.
+///
+/// # Errors
+/// As [`import_for_training`].
+pub fn import_in_world(
+    path: &Path,
+    config: &TrainConfig,
+    up: Up,
+    limits: &ImportLimits,
+    budget: MemoryBudget,
+) -> Result<Capture, TrainError> {
+    let options = ImportOptions { max_side: Some(config.resolution), limits: *limits, load_truth: false, up };
     let mut undecoded = UndecodedCapture::open(path, &options)?;
     memory::check(&PhotographSizes::undecoded(&mut undecoded)?, config, budget)?;
     let mut capture = undecoded.decode()?;

@@ -22,11 +22,13 @@ mod schedule;
 mod state;
 mod system_memory;
 mod trainer;
+mod world_up;
 
 pub use dataset::DecodingStats;
 pub use error::TrainError;
-pub use import::import_for_training;
+pub use import::{import_for_training, import_in_world};
 pub use known_light::illuminate;
 pub use memory::{MemoryBudget, MemoryEstimate, PhotographSizes};
 pub use system_memory::{available_memory, cgroup_limit};
 pub use trainer::{PreparedTraining, Progress, StepReport, Trainer};
+pub use world_up::{up_of_card, up_of_checkpoint};

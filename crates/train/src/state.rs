@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::complexity::state::ComplexityState;
 use crate::crop::SubjectCrop;
 use crate::dataset::Gain;
+use relume_capture::WorldUp;
 use relume_scene::light::LightColour;
 
 /// Position of a training in its schedule; kept on the host for every device.
@@ -33,6 +34,8 @@ pub struct ScheduleState {
     pub gains: Vec<Vec<Gain>>,
     /// For each strong small light, the share by which sharp shadows explain the photographs better than soft ones.
     pub lights: Vec<f32>,
+    /// The direction in the files of the capture that is +Z of the model.
+    pub up: Option<WorldUp>,
     /// The crop of the subject of photographs without masks, after the warm-up.
     pub cut: Option<Arc<SubjectCrop>>,
 }
@@ -51,6 +54,7 @@ impl ScheduleState {
             light_colour: None,
             gains: Vec::new(),
             lights: Vec::new(),
+            up: None,
             cut: None,
         }
     }

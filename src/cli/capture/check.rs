@@ -67,7 +67,7 @@ fn svg_file(name: &str) -> Result<PathBuf, String> {
 
 /// Imports a capture with poses as a training does, and prints what the import found. Returns whether it can be trained on.
 fn check_capture(path: &Path, args: &CheckArgs) -> CommandResult<bool> {
-    let options = ImportOptions { up: args.up, ..ImportOptions::default() };
+    let options = ImportOptions { up: args.up.into(), ..ImportOptions::default() };
     let report = match inspect(path, &options) {
         Ok(report) => report,
         Err(error) => {

@@ -9,20 +9,21 @@ use crate::camera_path::{path_views, photo_view};
 use crate::cli::input;
 use relume_api::NerfstudioWorld;
 use relume_api::problem::FieldError;
-use relume_capture::{ImportLimits, cameras_of_colmap};
+use relume_capture::{ImportLimits, Up, cameras_of_colmap};
 use relume_train::render::{FrameView, resized};
 
 /// Maximum number of frames in a file.
 const MAX_FRAMES: usize = 100_000;
 
-/// Reads the views of the file or folder at `path`.
+/// Reads the views of the file or folder at `path`. A COLMAP model is rotated as the capture of the rendered model, with its `up`.
 ///
 /// # Errors
 /// The error names the file and the invalid field.
-pub(super) fn read(path: &Path, args: &CameraArgs) -> Result<Vec<FrameView>, String> {
+pub(super) fn read(path: &Path, args: &CameraArgs, up: Up) -> Result<Vec<FrameView>, String> {
     let named = |error: String| format!("{}: {error}", path.display());
     if path.is_dir() {
-        let cameras = cameras_of_colmap(path, &ImportLimits::default()).map_err(|e| named(e.to_string()))?;
+        let cameras = cameras_of_colmap(path, &ImportLimits::default(), up);
+        let cameras = cameras.map_err(|e| named(e.to_string()))?;
         return sized(cameras.iter().map(photo_view).collect(), args).map_err(named);
     }
     let bytes = input::read(path)?;

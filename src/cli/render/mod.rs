@@ -12,6 +12,7 @@ use std::path::Path;
 
 use crate::cli::error::CommandResult;
 use relume_spec::rendering::FrameFormat;
+use relume_train::up_of_card;
 
 pub(super) use args::{RenderArgs, finite, up_to};
 use numbering::Numbering;
@@ -23,9 +24,10 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
         return Err("only an .exr can contain several outputs".into());
     }
     let numbering = numbering(args)?;
-    let file_cameras = args.cameras.path.as_deref().map(|file| camera_file::read(file, &args.cameras));
-    let file_cameras = file_cameras.transpose()?;
     let session = RenderSession::open(args, format)?;
+    let up = up_of_card(&session.model().card)?;
+    let file_cameras = args.cameras.path.as_deref().map(|file| camera_file::read(file, &args.cameras, up));
+    let file_cameras = file_cameras.transpose()?;
     let views = views::views(&args.cameras, file_cameras, session.model())?;
     match (numbering, views.as_slice()) {
         (None, [view]) => sequence::single(&session, view, &args.out),

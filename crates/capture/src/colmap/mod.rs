@@ -9,7 +9,6 @@ mod tests;
 mod text;
 
 use glam::{DMat3, DMat4, DQuat};
-use relume_spec::training::UpAxis;
 
 use self::binary::ByteReader;
 use self::find::ModelEncoding;
@@ -21,20 +20,21 @@ use crate::photo_finder::PhotoFinder;
 use crate::photos::{PhotoEntry, Split};
 use crate::truth::TruthFiles;
 use crate::upright::{StatedUp, upright};
-use crate::{CaptureError, CaptureFiles};
+use crate::{CaptureError, CaptureFiles, Up, WorldUp};
 
-/// The photographs and points, in a world rotated so that the cameras' mean up is +Z.
+/// The photographs and points, in a world rotated so that up is +Z.
 ///
 /// # Errors
 /// Names the model file and the field at fault, or counts the images if too few are present.
 pub(super) fn read(
     source: &CaptureFiles,
     files: &ModelFiles,
-    up: UpAxis,
+    up: Up,
     warnings: &mut Vec<String>,
-) -> Result<(Vec<PhotoEntry>, Vec<Point>), CaptureError> {
+) -> Result<(Vec<PhotoEntry>, Vec<Point>, WorldUp), CaptureError> {
     let model = read_model(source, files)?;
-    let turn = model_turn(&model, up, warnings);
+    let world = world_up(&model, up, warnings);
+    let turn = world.rotation();
     let images_file = files.path("images");
     warnings.extend(files.unused.clone());
     let mut finder = PhotoFinder::new(source, files.photo_folders());
@@ -47,7 +47,7 @@ pub(super) fn read(
     }
     finder.finish(&images_file, photos.len(), warnings)?;
     let points = model.points.into_iter().map(|(p, colour)| (turn * p, colour)).collect();
-    Ok((photos, points))
+    Ok((photos, points, world))
 }
 
 /// The photographs that a model names, present or not, in the world of [`read`].
@@ -57,11 +57,12 @@ pub(super) fn read(
 pub(super) fn stated(
     source: &CaptureFiles,
     files: &ModelFiles,
-    up: UpAxis,
+    up: Up,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<PhotoEntry>, CaptureError> {
     let model = read_model(source, files)?;
-    let turn = model_turn(&model, up, warnings);
+    let world = world_up(&model, up, warnings);
+    let turn = world.rotation();
     let images_file = files.path("images");
     let of = |image: &PosedImage| photo(&model, image, image.name.clone(), turn, &images_file);
     model.images.iter().map(of).collect()
@@ -119,10 +120,10 @@ fn photo(
     })
 }
 
-/// The rotation that makes +Z up, from all images of the model, present or not.
-fn model_turn(model: &SparseModel, up: UpAxis, warnings: &mut Vec<String>) -> DQuat {
+/// The up direction, from all images of the model, present or not.
+fn world_up(model: &SparseModel, up: Up, warnings: &mut Vec<String>) -> WorldUp {
     let poses: Vec<_> = model.images.iter().map(|image| pose(image, DQuat::IDENTITY)).collect();
-    upright(&poses, up, StatedUp::No("COLMAP"), warnings)
+    upright(&poses, &model.points, up, StatedUp::No("COLMAP"), warnings)
 }
 
 /// Camera-to-world with OpenGL axes, in the rotated world.

@@ -7,9 +7,9 @@ use super::model::{PosedImage, SparseModel};
 use super::pose;
 use super::text::{self, TextFile};
 use crate::CaptureError;
+use crate::Up;
 use crate::upright::{StatedUp, upright};
 use relume_scene::Camera;
-use relume_spec::training::UpAxis;
 
 const CAMERAS: &str =
     "# comment\n1 OPENCV 640 480 500 510 320 240 0.1 -0.05 0.001 0.002\n2 PINHOLE 64 48 50 51 32 24\n";
@@ -131,8 +131,8 @@ fn points_project_as_in_colmap_and_camera_up_becomes_z() {
     let rotation = DQuat::from_euler(glam::EulerRot::XYZ, 1.4, 0.2, -0.3);
     let image =
         PosedImage { name: "a.jpg".into(), camera: 1, rotation, translation: DVec3::new(0.3, -0.2, 2.0) };
-    let turn =
-        upright(&[pose(&image, DQuat::IDENTITY)], UpAxis::Auto, StatedUp::No("COLMAP"), &mut Vec::new());
+    let poses = [pose(&image, DQuat::IDENTITY)];
+    let turn = upright(&poses, &[], Up::AUTO, StatedUp::No("COLMAP"), &mut Vec::new()).rotation();
     let camera = Camera::from_opengl(&pose(&image, turn), (100, 80), (90.0, 95.0), (50.0, 40.0)).unwrap();
     let world = DVec3::new(0.2, 0.1, 0.4);
     let expected = rotation * world + image.translation;
@@ -147,6 +147,6 @@ fn cameras_without_common_up_give_no_rotation_and_a_warning() {
     let image = |rotation| PosedImage { name: "a".into(), camera: 1, rotation, translation: DVec3::ZERO };
     let mut warnings = Vec::new();
     let poses = [0.0, 3.1].map(|angle| pose(&image(DQuat::from_rotation_z(angle)), DQuat::IDENTITY));
-    let turn = upright(&poses, UpAxis::Auto, StatedUp::No("COLMAP"), &mut warnings);
+    let turn = upright(&poses, &[], Up::AUTO, StatedUp::No("COLMAP"), &mut warnings).rotation();
     assert_eq!((turn, warnings.len()), (DQuat::IDENTITY, 1));
 }

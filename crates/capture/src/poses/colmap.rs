@@ -10,7 +10,7 @@ use super::process::ExternalProgram;
 use super::run_control::{PoseProgress, PoseStage, RunControl};
 use super::workspace::Workspace;
 use crate::process_limits::ProcessLimits;
-use crate::{ImportLimits, PhotosWithoutPoses, cameras_of_colmap};
+use crate::{ImportLimits, PhotosWithoutPoses, Up, cameras_of_colmap};
 
 /// The oldest supported version of COLMAP.
 const MIN_VERSION: (u32, u32) = (3, 6);
@@ -123,7 +123,7 @@ fn checked_version(
 
 /// The names of the photographs with a pose in the model in `folder`.
 fn placed(folder: &Path) -> Result<Vec<String>, PoseError> {
-    let cameras = cameras_of_colmap(folder, &ImportLimits::default())?;
+    let cameras = cameras_of_colmap(folder, &ImportLimits::default(), Up::MEAN)?;
     Ok(cameras.into_iter().map(|camera| camera.name).collect())
 }
 

@@ -12,7 +12,7 @@ use glam::DVec3;
 use self::scene::AnalyticScene;
 pub use self::scene::SyntheticScene;
 use self::tracer::{AmbientOcclusion, Pixel, Tracer};
-use crate::{Capture, CaptureError, CaptureView, GroundTruthView, SceneBounds, builtin};
+use crate::{Capture, CaptureError, CaptureView, GroundTruthView, SceneBounds, WorldUp, builtin};
 use relume_scene::{BitDepth, Camera, EnvMap, ImageRgba, PackedImage, Plane, srgb};
 
 /// Radius of the ball around the origin that contains the scene.
@@ -111,6 +111,7 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
         lights: options.relit.clone(),
         measured_light: None,
         grey_card: None,
+        up: WorldUp::default(),
         warnings: Vec::new(),
     })
 }

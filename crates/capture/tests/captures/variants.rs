@@ -234,7 +234,8 @@ fn with_rotation(rotation: DQuat, up: UpAxis) -> (Vec<(String, Camera)>, Vec<Str
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("images")).unwrap();
     files.iter().for_each(|(name, bytes)| std::fs::write(folder.path().join(name), bytes).unwrap());
-    let capture = import(folder.path(), &ImportOptions { up, ..ImportOptions::default() }).unwrap();
+    let capture =
+        import(folder.path(), &ImportOptions { up: up.into(), ..ImportOptions::default() }).unwrap();
     (cameras(&capture), capture.warnings)
 }
 

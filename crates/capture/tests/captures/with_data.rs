@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use relume_capture::formats::environment;
-use relume_capture::{Capture, Distortion, ImportOptions, import};
+use relume_capture::{Capture, Distortion, ImportOptions, UndecodedCapture, Up, WorldUp, import};
 
 use relume_fixtures::data;
 
@@ -117,9 +117,41 @@ fn colmap_points_project_into_their_images() {
         let (share, mirrored) = (share_in_view(&capture, 1.0), share_in_view(&capture, -1.0));
         eprintln!("{name}: {share} {mirrored} {:?}", capture.bounds);
         assert!(share > 0.7 && mirrored < 0.3, "{name}: {share} {mirrored}");
-        let up = capture.train.iter().map(|v| -v.camera.rotation.row(1)).sum::<glam::DVec3>();
-        assert!(up.normalize().z > 0.99);
     }
+}
+
+/// The angle between the up direction of an import and a plane's normal in the axes of the files, degrees.
+fn angle_to(normal: DVec3, up: &WorldUp) -> f64 {
+    DVec3::from_array(up.direction).angle_between(normal).to_degrees()
+}
+
+#[test]
+#[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
+fn beer_stands_on_a_level_floor() {
+    // A robust fit (Tukey's weights) to the grey points beside the can; three walls are perpendicular to it within 1.1 degrees.
+    let floor = DVec3::new(-0.080529, -0.928410, -0.362725).normalize();
+    let of = |up| {
+        let options = ImportOptions { up, ..ImportOptions::default() };
+        UndecodedCapture::open(&data("captures/beer71_colmap"), &options).unwrap().up().clone()
+    };
+    let (found, mean) = (of(Up::AUTO), of(Up::MEAN));
+    assert!(angle_to(floor, &found) < 0.5 && found.note.as_ref().unwrap().contains("plane"), "{found:?}");
+    assert!(angle_to(floor, &mean) > 20.0, "the control: {mean:?}");
+}
+
+#[test]
+#[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
+fn fox_hangs_on_a_vertical_wall() {
+    // A least squares fit to the points of the wall in `fox9_colmap`, in the axes of `fox/transforms.json`.
+    let wall = DVec3::new(0.871544, -0.483066, -0.084010).normalize();
+    let of = |up| {
+        let options = ImportOptions { up, ..ImportOptions::default() };
+        UndecodedCapture::open(&data("captures/fox"), &options).unwrap().up().clone()
+    };
+    let lean = |up: &WorldUp| (angle_to(wall, up) - 90.0).abs();
+    let (found, stated) = (of(Up::AUTO), of(Up::MEAN));
+    assert!(lean(&found) < 2.0 && found.note.as_ref().unwrap().contains("held level"), "{found:?}");
+    assert!(lean(&stated) > 4.0, "the control: {stated:?}");
 }
 
 /// COLMAP's measurements per image name: the lens `[f, cx, cy, k]` and observations `(x, y, index of point)`.

@@ -9,7 +9,7 @@ use relume_scene::{Camera, Field};
 
 /// Number of planes that are tested.
 const TRIALS: usize = 3_000;
-/// Least cosine between a plane's normal and +Z, the mean up of the cameras.
+/// Least cosine between a plane's normal and +Z, the up direction of the capture.
 const LEVEL: f64 = 0.75;
 /// Distance from a plane within which a Gaussian belongs to it, ball radii; early geometry is imprecise.
 const THICKNESS: f64 = 0.05;

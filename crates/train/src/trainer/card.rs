@@ -26,6 +26,7 @@ impl Trainer {
             "complexity": self.schedule.complexity.card(&self.config),
             "light": self.light_card(&model),
             "exposures": self.exposures_card(),
+            "up": self.schedule.up,
             "crop": self.crop_card(),
             "config": self.config,
         });

@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::dataset::Dataset;
 use crate::error::TrainError;
 use crate::state::ScheduleState;
-use crate::{checkpoint, initial};
+use crate::{checkpoint, initial, world_up};
 use relume_capture::Capture;
 use relume_engine::TrainState;
 use relume_scene::Model;
@@ -36,7 +36,8 @@ impl PreparedTraining {
         let data = prepare(capture, &mut config)?;
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let model = initial::model(capture, &data, &config, &mut rng);
-        let schedule = ScheduleState::new(data.len(), rng);
+        let mut schedule = ScheduleState::new(data.len(), rng);
+        schedule.up = Some(capture.up.clone());
         Ok(Self::of(config, data, schedule, TrainState::new(model)))
     }
 
@@ -46,7 +47,9 @@ impl PreparedTraining {
     /// [`TrainError::Checkpoint`] names what does not match, [`TrainError::Invalid`] the unsuitable setting or input.
     pub fn resume(capture: &Capture, mut config: TrainConfig, bytes: &[u8]) -> Result<Self, TrainError> {
         let mut data = prepare(capture, &mut config)?;
-        let (schedule, state) = checkpoint::decode(bytes, &config)?;
+        let (mut schedule, state) = checkpoint::decode(bytes, &config)?;
+        world_up::check(schedule.up.as_ref(), &capture.up)?;
+        schedule.up.get_or_insert_with(|| capture.up.clone());
         if schedule.order.len() != data.len() {
             return Err(TrainError::Checkpoint(
                 "order: the checkpoint has another number of photographs".into(),
