@@ -32,7 +32,8 @@ struct CameraEntry {
 }
 
 /// The views of a camera path in any supported format. Cameras without a size get `size`, width and height in pixels. `world`
-/// transforms a `camera_path` of nerfstudio back to the world of the capture.
+/// transforms a `camera_path` of nerfstudio back to the world of the capture. `up` is that of the model, for the frames of a
+/// `transforms.json`, which have the axes of the capture's files.
 ///
 /// # Errors
 /// The pointer leads from the path to the invalid field. It is empty if the format is not supported.
@@ -40,6 +41,7 @@ pub fn path_views(
     json: &Value,
     size: (u32, u32),
     world: Option<&NerfstudioWorld>,
+    up: Up,
 ) -> Result<Vec<FrameView>, FieldError> {
     match ["cameras", "camera_path", "frames"].into_iter().find(|key| json.get(key).is_some()) {
         Some("camera_path") => nerfstudio::views(json, world),
@@ -47,7 +49,7 @@ pub fn path_views(
             Err(refused(String::new(), "must be a `camera_path` of nerfstudio if path_world is given"))
         }
         Some("cameras") => own(json, size),
-        Some(_) => of_transforms(json, size),
+        Some(_) => of_transforms(json, size, up),
         None => Err(refused(
             String::new(),
             "must have `cameras`, `camera_path` (nerfstudio) or `frames` (transforms.json)",
@@ -77,13 +79,12 @@ fn own(json: &Value, otherwise: (u32, u32)) -> Result<Vec<FrameView>, FieldError
     file.cameras.iter().enumerate().map(view).collect()
 }
 
-fn of_transforms(json: &Value, size: (u32, u32)) -> Result<Vec<FrameView>, FieldError> {
+fn of_transforms(json: &Value, size: (u32, u32), up: Up) -> Result<Vec<FrameView>, FieldError> {
     let bytes = json.to_string().into_bytes();
-    let cameras =
-        cameras_of_transforms("frames", &bytes, Some(size), Up::AUTO).map_err(|error| match &error {
-            CaptureError::Field { field, reason, .. } => refused(pointer(field), reason),
-            error => refused(String::new(), &error.to_string()),
-        })?;
+    let cameras = cameras_of_transforms("frames", &bytes, Some(size), up).map_err(|error| match &error {
+        CaptureError::Field { field, reason, .. } => refused(pointer(field), reason),
+        error => refused(String::new(), &error.to_string()),
+    })?;
     Ok(cameras.iter().map(photo_view).collect())
 }
 
@@ -95,7 +96,7 @@ mod tests {
     use serde_json::json;
 
     fn views(json: &Value) -> Result<Vec<FrameView>, FieldError> {
-        path_views(json, (64, 64), None)
+        path_views(json, (64, 64), None, Up::AUTO)
     }
 
     fn camera() -> Camera {

@@ -14,17 +14,21 @@ use crate::server::app::AppState;
 use crate::server::caller::Caller;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
+use crate::server::models;
 use crate::server::problem::Problem;
 use crate::store::{StoreError, hex};
-use relume_api::CaptureId;
 use relume_api::cameras::{CameraConvention, CameraSpec, CaptureCameras, CapturedCamera};
-use relume_capture::{self, CaptureError, ImportLimits, PhotoCamera};
+use relume_api::{CaptureId, ModelId, TenantId};
+use relume_capture::{self, CaptureError, ImportLimits, PhotoCamera, Up};
 use relume_spec::training::UpAxis;
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(get_cameras))
 }
+
+/// Number of the rule by which imports find the up direction: answers cached under another one are of another world.
+pub(super) const WORLD_RULE: u32 = 2;
 
 /// Form of the cameras.
 #[derive(Debug, Default, Deserialize, IntoParams)]
@@ -40,6 +44,26 @@ pub struct CamerasQuery {
     #[serde(default)]
     #[param(value_type = Option<String>, pattern = "^(auto|-?[xyz])$")]
     pub up: UpAxis,
+    /// Identifier of the model that is rendered with the cameras: they are in its world, which it records. Cannot be combined with
+    /// `up`. Omitted: the world of a new training.
+    #[param(value_type = Option<String>)]
+    pub model: Option<ModelId>,
+}
+
+impl CamerasQuery {
+    /// The up direction with which the capture is read.
+    ///
+    /// # Errors
+    /// 404 for an unknown model; 422 for a model with `up`.
+    pub(super) async fn world(&self, app: &AppState, tenant: &TenantId) -> Result<Up, Problem> {
+        match &self.model {
+            Some(_) if !self.up.is_auto() => {
+                Err(Problem::invalid_field("/up", "must not be combined with model, which records it"))
+            }
+            Some(model) => models::world_of(app, tenant, model).await,
+            None => Ok(self.up.into()),
+        }
+    }
 }
 
 /// List the cameras of a capture
@@ -61,12 +85,14 @@ async fn get_cameras(
     State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<CaptureId>,
-    QueryString(CamerasQuery { convention, up }): QueryString<CamerasQuery>,
+    QueryString(query): QueryString<CamerasQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let missing = || Problem::not_found("capture", id.as_str());
     let record = app.store.capture(&caller.tenant, &id).await?.ok_or_else(missing)?;
-    let identity = format!("{}|{}|{convention:?}|{up:?}", env!("CARGO_PKG_VERSION"), record.sha256);
+    let (convention, up) = (query.convention, query.world(&app, &caller.tenant).await?);
+    let identity =
+        format!("{}|{}|{WORLD_RULE}|{convention:?}|{up:?}", env!("CARGO_PKG_VERSION"), record.sha256);
     let tag = etag(&hex(&Sha256::digest(identity)));
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()

@@ -16,6 +16,8 @@ use crate::worker::{ModelContent, ModelSource};
 use relume_api::metadata::MetadataChange;
 use relume_api::models::{FileView, ModelSummary, ModelView};
 use relume_api::{List, ModelId, ResourceKind, TenantId};
+use relume_capture::Up;
+use relume_train::up_of_card;
 
 /// Name of the file with the model.
 pub(super) const MODEL_FILE: &str = "model.safetensors";
@@ -103,6 +105,11 @@ async fn get_card(
 
 async fn find(app: &AppState, tenant: &TenantId, id: &ModelId) -> Result<ModelRecord, Problem> {
     app.store.model(tenant, id).await?.ok_or_else(|| Problem::not_found("model", id.as_str()))
+}
+
+/// The up direction of the model's world, with which its capture and camera files in the axes of the capture are read.
+pub(super) async fn world_of(app: &AppState, tenant: &TenantId, id: &ModelId) -> Result<Up, Problem> {
+    up_of_card(&find(app, tenant, id).await?.card).map_err(Problem::internal)
 }
 
 /// The model as a source for rendering, and its content hash.

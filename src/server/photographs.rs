@@ -14,7 +14,7 @@ use utoipa_axum::routes;
 
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
-use crate::server::cameras::{self, CamerasQuery};
+use crate::server::cameras::{self, CamerasQuery, WORLD_RULE};
 use crate::server::description::File;
 use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
@@ -61,11 +61,12 @@ async fn list_photographs(
     State(app): State<AppState>,
     caller: Caller,
     UrlPath(id): UrlPath<CaptureId>,
-    QueryString(CamerasQuery { convention, up }): QueryString<CamerasQuery>,
+    QueryString(query): QueryString<CamerasQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let capture = find(&app, &caller, &id).await?;
-    let tag = etag(&digest(&capture, &format!("photographs|{convention:?}|{up:?}")));
+    let (convention, up) = (query.convention, query.world(&app, &caller.tenant).await?);
+    let tag = etag(&digest(&capture, &format!("photographs|{WORLD_RULE}|{convention:?}|{up:?}")));
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
     } else {

@@ -15,7 +15,8 @@ use relume_train::render::{FrameView, resized};
 /// Maximum number of frames in a file.
 const MAX_FRAMES: usize = 100_000;
 
-/// Reads the views of the file or folder at `path`. A COLMAP model is rotated as the capture of the rendered model, with its `up`.
+/// Reads the views of the file or folder at `path`. A COLMAP model and a `transforms.json` are rotated as the
+/// capture of the rendered model, with its `up`.
 ///
 /// # Errors
 /// The error names the file and the invalid field.
@@ -28,7 +29,7 @@ pub(super) fn read(path: &Path, args: &CameraArgs, up: Up) -> Result<Vec<FrameVi
     }
     let bytes = input::read(path)?;
     let world = args.path_world.as_deref().map(read_world).transpose()?;
-    sized(parse(&bytes, args, world.as_ref()).map_err(named)?, args).map_err(named)
+    sized(parse(&bytes, args, world.as_ref(), up).map_err(named)?, args).map_err(named)
 }
 
 /// Reads a `dataparser_transforms.json`.
@@ -41,13 +42,18 @@ fn read_world(file: &Path) -> Result<NerfstudioWorld, String> {
 }
 
 /// Parses the views of a JSON file of any supported kind.
-fn parse(bytes: &[u8], args: &CameraArgs, world: Option<&NerfstudioWorld>) -> Result<Vec<FrameView>, String> {
+fn parse(
+    bytes: &[u8],
+    args: &CameraArgs,
+    world: Option<&NerfstudioWorld>,
+    up: Up,
+) -> Result<Vec<FrameView>, String> {
     let json: Value = serde_json::from_slice(bytes).map_err(|error| format!("is not valid JSON: {error}"))?;
     if world.is_some() && json.get("camera_path").is_none() {
         return Err("--path-world can only be used with a file that has a camera_path".to_owned());
     }
     let size = args.resolution.unwrap_or((args.size, args.size));
-    path_views(&json, size, world).map_err(|error| named_as_in_code(&error))
+    path_views(&json, size, world, up).map_err(|error| named_as_in_code(&error))
 }
 
 /// The field and the detail of an error, with the field as in code, e.g. `cameras[0].camera`.
@@ -93,7 +99,7 @@ mod tests {
 
     fn views(json: &Value, resolution: Option<(u32, u32)>) -> Result<Vec<FrameView>, String> {
         let args = args(resolution);
-        sized(parse(json.to_string().as_bytes(), &args, None)?, &args)
+        sized(parse(json.to_string().as_bytes(), &args, None, Up::AUTO)?, &args)
     }
 
     #[test]

@@ -28,7 +28,8 @@ pub(super) async fn make(
     spec: &FramesExport,
     token: &CancellationToken,
 ) -> Result<ExportedFile, ExportError> {
-    let plan = FramesPlan::of(app, &export.tenant, spec).await?;
+    let up = models::world_of(app, &export.tenant, &export.model_id).await?;
+    let plan = FramesPlan::of(app, &export.tenant, spec, up).await?;
     let (model, _) = models::source(app, &export.tenant, &export.model_id).await?;
     let plan = Arc::new(plan);
     let views = views(app, &plan, &model).await?;

@@ -9,6 +9,7 @@ use crate::server::render_request::{check_finish, check_outputs, check_sides, qu
 use crate::worker::LightSource;
 use relume_api::TenantId;
 use relume_api::exports::{FramesExport, Package, TurntableSpec};
+use relume_capture::Up;
 use relume_scene::Model;
 use relume_spec::rendering::{Background, FrameFormat, Quality, ToneCurve, is_colour};
 use relume_train::render::{EncodeOptions, FrameMetadata, FrameView, Turntable, resized, rotate_light};
@@ -37,10 +38,17 @@ enum Cameras {
 }
 
 impl FramesPlan {
+    /// The plan for a model whose capture was imported with `up`.
+    ///
     /// # Errors
     /// 422, which names the field.
-    pub(super) async fn of(app: &AppState, tenant: &TenantId, spec: &FramesExport) -> Result<Self, Problem> {
-        let cameras = cameras(spec)?;
+    pub(super) async fn of(
+        app: &AppState,
+        tenant: &TenantId,
+        spec: &FramesExport,
+        up: Up,
+    ) -> Result<Self, Problem> {
+        let cameras = cameras(spec, up)?;
         check_outputs(&spec.outputs, spec.format)?;
         if !spec.environment_turn_deg.is_finite() {
             return Err(Problem::invalid_field("/environment_turn_deg", "must be finite"));
@@ -112,7 +120,7 @@ impl Cameras {
     }
 }
 
-fn cameras(spec: &FramesExport) -> Result<Cameras, Problem> {
+fn cameras(spec: &FramesExport, up: Up) -> Result<Cameras, Problem> {
     let size = match (spec.width, spec.height) {
         (None, None) => None,
         (Some(width), Some(height)) => Some((width, height)),
@@ -122,7 +130,7 @@ fn cameras(spec: &FramesExport) -> Result<Cameras, Problem> {
     size.map_or(Ok(()), check_sides)?;
     match (&spec.turntable, &spec.path) {
         (Some(table), None) => turntable(table, size.unwrap_or(SIZE)).map(Cameras::Turntable),
-        (None, Some(_)) => path(spec, size).map(Cameras::Path),
+        (None, Some(_)) => path(spec, size, up).map(Cameras::Path),
         (Some(_), Some(_)) => Err(Problem::invalid_field("/path", "must not be combined with turntable")),
         (None, None) => Err(Problem::invalid_field("/turntable", "either turntable or path is required")),
     }
@@ -146,13 +154,13 @@ fn turntable(spec: &TurntableSpec, size: (u32, u32)) -> Result<Turntable, Proble
     Ok(Turntable { frames, azimuth_deg, elevation_deg, camera_turn_deg, size })
 }
 
-fn path(spec: &FramesExport, size: Option<(u32, u32)>) -> Result<Vec<FrameView>, Problem> {
+fn path(spec: &FramesExport, size: Option<(u32, u32)>, up: Up) -> Result<Vec<FrameView>, Problem> {
     let refused = |pointer: String, why: String| Problem::invalid_field(format!("/path{pointer}"), why);
     if let Some(world) = &spec.path_world {
         world.check().map_err(|why| Problem::invalid_field("/path_world", why))?;
     }
     let json = spec.path.as_ref().unwrap_or(&serde_json::Value::Null);
-    let views = path_views(json, size.unwrap_or(SIZE), spec.path_world.as_ref());
+    let views = path_views(json, size.unwrap_or(SIZE), spec.path_world.as_ref(), up);
     let views = views.map_err(|error| refused(error.pointer, error.detail))?;
     if !(1..=MOST_FRAMES).contains(&views.len()) {
         let why = format!("must have 1 to {MOST_FRAMES} cameras, got {}", views.len());

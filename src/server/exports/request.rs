@@ -9,6 +9,7 @@ use crate::server::extract;
 use crate::server::problem::Problem;
 use relume_api::TenantId;
 use relume_api::exports::{NewExport, SplatsExport};
+use relume_capture::Up;
 use relume_spec::rendering::{ExportedColour, MAX_BAKED_DEGREE};
 
 /// Parses a body according to its `kind`.
@@ -31,7 +32,8 @@ pub(super) fn read(body: Value) -> Result<NewExport, Problem> {
 pub(super) async fn check(app: &AppState, tenant: &TenantId, export: &NewExport) -> Result<i64, Problem> {
     match export {
         NewExport::Frames(frames) => {
-            let plan = FramesPlan::of(app, tenant, frames).await?;
+            // The number of frames does not depend on the world of the model.
+            let plan = FramesPlan::of(app, tenant, frames, Up::AUTO).await?;
             Ok(i64::try_from(plan.frames()).unwrap_or(i64::MAX))
         }
         NewExport::Splats(splats) => {

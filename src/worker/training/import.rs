@@ -10,16 +10,18 @@ use crate::worker::renders::{DecodedMaps, LightSource};
 use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, ENVIRONMENT_MISSING};
 use relume_api::EnvironmentId;
-use relume_capture::{BUILTIN, Capture, ImportLimits};
+use relume_capture::{BUILTIN, Capture, ImportLimits, Up};
 use relume_spec::training::TrainConfig;
-use relume_train::{MemoryBudget, MemoryEstimate, PhotographSizes, import_for_training};
+use relume_train::{MemoryBudget, MemoryEstimate, PhotographSizes, import_in_world};
 
 impl Worker {
-    /// Reads the capture on another thread while frames are rendered. Stops early if the job is to stop.
+    /// Reads the capture on another thread while frames are rendered, in the world in which `up` is up. Stops early if the job is to
+    /// stop.
     pub(super) async fn import(
         &mut self,
         claim: &dyn Claim,
         config: &TrainConfig,
+        up: Up,
     ) -> Result<ControlFlow<AttemptEnd, Capture>, AttemptError> {
         announce(claim, "reading the capture").await?;
         let path = claim.capture().await.map_err(|error| match error {
@@ -30,7 +32,7 @@ impl Worker {
         let (config, limits) = (config.clone(), self.import_limits);
         // The budget is the memory of the machine, not the memory that is free at present, which may be larger at a retry.
         let budget = MemoryBudget::of_machine(self.device_of(claim)?);
-        let read = move || load(&path, &config, &limits, budget, light.as_ref());
+        let read = move || load(&path, (&config, up), &limits, budget, light.as_ref());
         let capture = match self.run_in_background(claim, read).await? {
             ControlFlow::Continue(capture) => capture?,
             ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
@@ -61,12 +63,12 @@ async fn known_light(claim: &dyn Claim, config: &TrainConfig) -> Result<Option<L
 /// Reads a capture and sets its known light.
 fn load(
     path: &Path,
-    config: &TrainConfig,
+    (config, up): (&TrainConfig, Up),
     limits: &ImportLimits,
     budget: MemoryBudget,
     light: Option<&LightSource>,
 ) -> Result<Capture, AttemptError> {
-    let mut capture = import_for_training(path, config, limits, budget)?;
+    let mut capture = import_in_world(path, config, up, limits, budget)?;
     let memory = MemoryEstimate::of(&PhotographSizes::of(&capture), config, budget.on_device);
     tracing::info!(%memory, available = budget.available, "estimated memory of the training");
     if let (Some(known), Some(source)) = (&config.light, light) {

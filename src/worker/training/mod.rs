@@ -21,6 +21,7 @@ use crate::worker::progress::ProgressReporter;
 use crate::worker::thread::Worker;
 use comparison::Comparison;
 use outcome::{AttemptEnd, AttemptError, stop_attempt};
+use preparation::{last_checkpoint, world_of};
 use relume_api::jobs::JobDevice;
 use relume_api::work::{LeaseStatus, Release};
 use relume_capture::Capture;
@@ -102,11 +103,14 @@ impl Worker {
         claim: &dyn Claim,
         config: TrainConfig,
     ) -> Result<ControlFlow<AttemptEnd, (Arc<Capture>, Trainer)>, AttemptError> {
-        let capture = match self.import(claim, &config).instrument(info_span!("import")).await? {
+        let checkpoint = last_checkpoint(claim).await?;
+        let up = world_of(&checkpoint).unwrap_or_else(|| config.up.into());
+        let capture = match self.import(claim, &config, up).instrument(info_span!("import")).await? {
             ControlFlow::Continue(capture) => Arc::new(capture),
             ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
         };
-        let trainer = self.trainer(claim, &capture, config).instrument(info_span!("dataset")).await?;
+        let trainer = self.trainer(claim, &capture, config, checkpoint);
+        let trainer = trainer.instrument(info_span!("dataset")).await?;
         Ok(trainer.map_continue(|trainer| (capture, trainer)))
     }
 

@@ -9,9 +9,32 @@ use crate::worker::job_source::{Claim, JobSourceError};
 use crate::worker::progress::announce;
 use crate::worker::thread::Worker;
 use crate::worker::training::outcome::{AttemptEnd, AttemptError};
-use relume_capture::Capture;
+use relume_capture::{Capture, Up};
 use relume_spec::training::TrainConfig;
-use relume_train::{PreparedTraining, TrainError, Trainer};
+use relume_train::{PreparedTraining, TrainError, Trainer, up_of_checkpoint};
+
+/// The bytes of a job's last checkpoint, or why it cannot be read; `None` if there is none.
+pub(super) type Checkpoint = Option<Result<Bytes, JobSourceError>>;
+
+/// Reads the last checkpoint of a job.
+///
+/// # Errors
+/// If it cannot be read at present.
+pub(super) async fn last_checkpoint(claim: &dyn Claim) -> Result<Checkpoint, AttemptError> {
+    if claim.task().checkpoint_step.is_none() {
+        return Ok(None);
+    }
+    match claim.last_checkpoint().await {
+        // The checkpoint exists and will be available again.
+        Err(error @ JobSourceError::Unreachable(_)) => Err(error.into()),
+        read => Ok(Some(read)),
+    }
+}
+
+/// The up direction of the training that the checkpoint continues; `None` without a readable checkpoint.
+pub(super) fn world_of(checkpoint: &Checkpoint) -> Option<Up> {
+    up_of_checkpoint(checkpoint.as_ref()?.as_ref().ok()?).ok()
+}
 
 impl Worker {
     /// Continues from the last checkpoint, or starts from step 0 if it cannot be read.
@@ -20,16 +43,9 @@ impl Worker {
         claim: &dyn Claim,
         capture: &Arc<Capture>,
         config: TrainConfig,
+        checkpoint: Checkpoint,
     ) -> Result<ControlFlow<AttemptEnd, Trainer>, AttemptError> {
         announce(claim, "preparing").await?;
-        let checkpoint = match claim.task().checkpoint_step {
-            Some(_) => match claim.last_checkpoint().await {
-                // The checkpoint exists and will be available again.
-                Err(error @ JobSourceError::Unreachable(_)) => return Err(error.into()),
-                read => Some(read),
-            },
-            None => None,
-        };
         let capture = capture.clone();
         let (preparation, lost) =
             match self.run_in_background(claim, move || prepare(&capture, config, checkpoint)).await? {
@@ -48,7 +64,7 @@ impl Worker {
 fn prepare(
     capture: &Capture,
     config: TrainConfig,
-    checkpoint: Option<Result<Bytes, JobSourceError>>,
+    checkpoint: Checkpoint,
 ) -> Result<(PreparedTraining, Option<TrainError>), TrainError> {
     let Some(checkpoint) = checkpoint else { return Ok((PreparedTraining::new(capture, config)?, None)) };
     let bytes = checkpoint.map_err(|error| TrainError::Checkpoint(error.to_string()));

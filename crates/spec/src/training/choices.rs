@@ -34,11 +34,11 @@ pub enum LabelSource {
     Both,
 }
 
-/// Direction in the files of a capture that is up. `auto`: the direction that the layout states, otherwise that of the cameras.
+/// Direction in the files of a capture that is up. `auto`: the direction that the layout states, otherwise that of the ground or of the cameras.
 /// `x`, `y`, `z`, `-x`, `-y`, `-z`: an axis of the files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
 pub enum UpAxis {
-    /// The direction that the layout states, otherwise that of the cameras.
+    /// The direction that the layout states, otherwise that of the ground or of the cameras.
     #[default]
     #[serde(rename = "auto")]
     Auto,

@@ -225,7 +225,7 @@ settings! {
     #[serde(default = "unknown")]
     white_balance: WhiteBalance = WhiteBalance::AUTO;
     /// Direction in the files of the capture that is up: `auto`, or an axis of the files: `x`, `y`, `z`, `-x`, `-y` or `-z`. The
-    /// world is rotated so that this direction is +Z. `auto`: the direction that the layout states, otherwise that of the cameras.
+    /// world is rotated so that this direction is +Z. `auto`: the direction that the layout states, otherwise that of the ground or of the cameras.
     #[serde(default, skip_serializing_if = "UpAxis::is_auto")]
     up: UpAxis = UpAxis::Auto;
     /// Part of the scene that becomes the model, for photographs without masks: `none` (the whole scene),
