@@ -3,6 +3,7 @@
 use glam::{DMat4, DVec3};
 use serde::{Deserialize, Serialize};
 
+use crate::lenient;
 use crate::problem::FieldError;
 use relume_scene::{Camera, CameraError};
 
@@ -70,9 +71,9 @@ pub struct CapturedCamera {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CameraSpec {
-    /// Rows of the camera-to-world matrix, capture units. The last row is 0 0 0 1. Programs that store matrices
-    /// by columns, such as three.js, must transpose them.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
+    /// Rows of the camera-to-world matrix, capture units. The last row is 0 0 0 1. The 16 numbers may also be one
+    /// list, row by row. Programs that store matrices by columns, such as three.js, must transpose them.
+    #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "lenient::matrix")]
     pub camera_to_world: Option<[[f64; 4]; 4]>,
     /// Axes of `camera_to_world`. Omitted: `opengl`.
     #[serde(skip_serializing_if = "Option::is_none", default)]

@@ -118,10 +118,12 @@ pub struct FramesExport {
     /// Width, 1 to 4096 pixels. Must be given together with `height`. Omitted: 512 for a turntable; the size
     /// that the path states.
     #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[serde(deserialize_with = "crate::lenient::optional_pixels")]
     #[schema(minimum = 1, maximum = 4096)]
     pub width: Option<u32>,
     /// Height, 1 to 4096 pixels. Must be given together with `width`.
     #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[serde(deserialize_with = "crate::lenient::optional_pixels")]
     #[schema(minimum = 1, maximum = 4096)]
     pub height: Option<u32>,
     /// Quality tier: `preview`, `standard`, `high` or `monte_carlo`, as in a render request. Omitted:

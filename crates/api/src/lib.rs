@@ -7,6 +7,7 @@ pub mod exports;
 mod ids;
 pub mod jobs;
 pub mod keys;
+mod lenient;
 pub mod metadata;
 pub mod models;
 mod nerfstudio_world;

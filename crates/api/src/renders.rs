@@ -17,9 +17,11 @@ pub struct RenderRequest {
     pub environment: EnvironmentSpec,
     /// Width, 1 to 4096 pixels.
     #[schema(minimum = 1, maximum = 4096)]
+    #[serde(deserialize_with = "crate::lenient::pixels")]
     pub width: u32,
     /// Height, 1 to 4096 pixels.
     #[schema(minimum = 1, maximum = 4096)]
+    #[serde(deserialize_with = "crate::lenient::pixels")]
     pub height: u32,
     /// Quality tier. `preview`: each Gaussian is shaded once. `standard`: shading from precomputed light
     /// tables. `high`: as `standard`, with per-pixel shadows of up to eight strong small lights.
