@@ -12,6 +12,9 @@ pub const FAR: f32 = 1e12;
 pub const MAX_PIXEL_DISTANCE: f32 = 1e12;
 /// Largest variance of a splat on screen, px^2: its square is still finite in f32.
 pub const MAX_SCREEN_VARIANCE: f32 = 1e18;
+/// Largest factor by which the low-pass of a Gaussian widens with the enlargement over its photographs: its square times the
+/// largest low-pass stays far below the largest f32.
+pub const MAX_ENLARGEMENT: f32 = 1e6;
 /// Determinants of screen covariances up to this count as 0, px^4.
 pub const MIN_DETERMINANT: f32 = 1e-12;
 /// Limit of the absolute ln of a standard deviation.
