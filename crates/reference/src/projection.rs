@@ -88,7 +88,7 @@ pub fn project<'t>(
     Splats { indices, depths: z, pixels, conics, compensation }
 }
 
-/// The low-pass of each Gaussian, px^2, (V, 1), without gradient: that of the photograph that shows it largest, where this camera
+/// The low-pass of each Gaussian, px^2, (V, 1), without gradient: 0.7 of that of the photograph that shows it largest, where this camera
 /// shows it larger (docs/MODEL.md, section 2).
 fn low_passes<'t>(
     p: &Parameters<'t>,
@@ -100,7 +100,7 @@ fn low_passes<'t>(
     let depths = depths.value();
     let one = |(rate, depth): (f64, f64)| {
         let enlargement = (camera.fx * camera.fy).sqrt() / (depth * rate);
-        if rate > 0.0 { low_pass * enlargement.max(1.0).powi(2) } else { low_pass }
+        if rate > 0.0 { low_pass * (0.7 * enlargement.powi(2)).max(1.0) } else { low_pass }
     };
     let rates = indices.iter().map(|i| rates.data()[*i]);
     let values = rates.zip(depths.data().iter().copied()).map(one).collect();
