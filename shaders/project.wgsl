@@ -69,7 +69,7 @@ fn project(gaussian_ix: u32) -> Splat {
     }
     let area = cross(x, y);
     let raw_determinant = dot(area, area);
-    let lp = camera.low_pass;
+    let lp = low_pass_of(camera, at_camera.z, params[model.sampling_rate + gaussian_ix]);
     let determinant = raw_determinant + lp * (raw.x + raw.z) + lp * lp;
     if !(determinant > MIN_DETERMINANT) {
         return invisible();

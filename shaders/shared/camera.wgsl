@@ -19,6 +19,16 @@ struct Camera {
     pad: u32,
 }
 
+// Low-pass of a Gaussian at `depth`, px^2: 0.7 of that of the photograph that shows it largest, with `sampling_rate` pixels per unit of
+// length, where this camera shows it larger. A rate of 0 is unknown.
+fn low_pass_of(camera: Camera, depth: f32, sampling_rate: f32) -> f32 {
+    if !(sampling_rate > 0.0) {
+        return camera.low_pass;
+    }
+    let enlargement = min(sqrt(camera.focal.x * camera.focal.y) / (depth * sampling_rate), MAX_ENLARGEMENT);
+    return camera.low_pass * max(ENLARGED_LOW_PASS * enlargement * enlargement, 1.0);
+}
+
 // Camera coordinates of a world point: `R x + t`. Models lie around the origin, so for a far-away camera this form keeps the
 // digits of `x` that `R (x - centre)` would lose.
 fn to_camera(camera: Camera, x: vec3f) -> vec3f {

@@ -35,7 +35,7 @@ fn project_backward(gaussian_ix: u32, up: Upstream, axes: mat3x3f, log_scale: ve
     // With x_k an axis on screen and y_k = C x_k, the gradient of the conic C is -2 C dC y_k by x_k and -2 y_k . dC y_k by
     // its ln length. For a needle, y is the inverse of its length and would cancel out as a difference of C's entries times
     // x. adj(raw) x_k = sum over the other axes j of (x_k x x_j) perp x_j has no such difference.
-    let lp = camera.low_pass;
+    let lp = low_pass_of(camera, at_camera.z, params[model.sampling_rate + gaussian_ix]);
     let area = cross(screen0, screen1);
     let raw_determinant = dot(area, area);
     let determinant = raw_determinant + lp * (dot(screen0, screen0) + dot(screen1, screen1)) + lp * lp;

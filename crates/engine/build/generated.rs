@@ -52,7 +52,7 @@ pub fn piece(name: &str) -> Option<String> {
         }
         "parameters" => parameters(),
         "projection" => {
-            list![constants: TILE, NEAR, FAR, MAX_PIXEL_DISTANCE, MAX_SCREEN_VARIANCE, MIN_DETERMINANT,
+            list![constants: TILE, NEAR, FAR, MAX_PIXEL_DISTANCE, MAX_SCREEN_VARIANCE, MAX_ENLARGEMENT, ENLARGED_LOW_PASS, MIN_DETERMINANT,
             LOG_SCALE_LIMIT, ALPHA_MIN, ALPHA_MAX]
         }
         "slots" => slots(),

@@ -1,5 +1,6 @@
 //! A camera for the engines' f32 kernels.
 
+use relume_layout::constants::{ENLARGED_LOW_PASS, MAX_ENLARGEMENT};
 use relume_scene::{Camera, ShadingOptions};
 
 /// A camera in f32, with the projection options.
@@ -50,6 +51,18 @@ impl RasterCamera {
             low_pass: options.low_pass,
             low_pass_compensation: options.low_pass_compensation,
         }
+    }
+
+    /// Low-pass of a Gaussian at `depth`, px^2: 0.7 of that of the photograph that shows it largest, with `sampling_rate` pixels per unit of
+    /// length, where this camera shows it larger (docs/MODEL.md, section 2). A rate of 0 is unknown.
+    #[inline]
+    pub fn low_pass_of(&self, depth: f32, sampling_rate: f32) -> f32 {
+        if !(sampling_rate > 0.0) {
+            return self.low_pass;
+        }
+        let enlargement = (self.focal[0] * self.focal[1]).sqrt() / (depth * sampling_rate);
+        let enlargement = enlargement.min(MAX_ENLARGEMENT);
+        self.low_pass * (ENLARGED_LOW_PASS * enlargement * enlargement).max(1.0)
     }
 
     /// Camera coordinates of a world point: `R x + t`. Models lie around the origin, so for a far-away camera this form keeps

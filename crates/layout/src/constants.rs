@@ -12,6 +12,12 @@ pub const FAR: f32 = 1e12;
 pub const MAX_PIXEL_DISTANCE: f32 = 1e12;
 /// Largest variance of a splat on screen, px^2: its square is still finite in f32.
 pub const MAX_SCREEN_VARIANCE: f32 = 1e18;
+/// Width of the low-pass of a Gaussian that a frame enlarges: its share of the low-pass of the photograph that shows the Gaussian
+/// largest. 1 is the Gaussian as that photograph shows it; the kernel of bicubic enlargement is narrower, too.
+pub const ENLARGED_LOW_PASS: f32 = 0.7;
+/// Largest factor by which the low-pass of a Gaussian widens with the enlargement over its photographs: its square times the
+/// largest low-pass stays far below the largest f32.
+pub const MAX_ENLARGEMENT: f32 = 1e6;
 /// Determinants of screen covariances up to this count as 0, px^4.
 pub const MIN_DETERMINANT: f32 = 1e-12;
 /// Limit of the absolute ln of a standard deviation.

@@ -31,6 +31,9 @@ pub enum Field {
     Indirect,
     /// Radiance-branch SH coefficients, coefficient-major RGB (3 (d+1)^2).
     Radiance,
+    /// Pixels per unit of length in the photograph that shows the Gaussian largest; 0: unknown (1). A measurement, not a
+    /// parameter: it has no gradient and does not train.
+    SamplingRate,
 }
 
 /// Number of floats of a Gaussian in a field.
@@ -52,7 +55,9 @@ impl Field {
         match self {
             Self::Mean | Self::LogScale | Self::Normal | Self::Residual => FieldWidth::Fixed(3),
             Self::Quaternion => FieldWidth::Fixed(4),
-            Self::OpacityLogit | Self::MetalLogit | Self::RoughLogit | Self::Sheen => FieldWidth::Fixed(1),
+            Self::OpacityLogit | Self::MetalLogit | Self::RoughLogit | Self::Sheen | Self::SamplingRate => {
+                FieldWidth::Fixed(1)
+            }
             Self::Indirect => FieldWidth::Fixed(16),
             Self::ProtoLogits => FieldWidth::Prototypes,
             Self::Visibility => FieldWidth::Visibility,
@@ -61,7 +66,7 @@ impl Field {
     }
 
     /// Number of fields.
-    pub const COUNT: usize = 13;
+    pub const COUNT: usize = 14;
 
     /// Every field, in storage order.
     pub const ALL: [Self; Self::COUNT] = [
@@ -78,6 +83,7 @@ impl Field {
         Self::Visibility,
         Self::Indirect,
         Self::Radiance,
+        Self::SamplingRate,
     ];
 
     /// The stable name used in files.
@@ -96,6 +102,7 @@ impl Field {
             Self::Visibility => "occ_sh",
             Self::Indirect => "ind_sh",
             Self::Radiance => "radiance_sh",
+            Self::SamplingRate => "sampling_rate",
         }
     }
     /// The name of the field in the shaders' parameter layout.
@@ -114,6 +121,7 @@ impl Field {
             Self::Visibility => "visibility",
             Self::Indirect => "indirect",
             Self::Radiance => "radiance",
+            Self::SamplingRate => "sampling_rate",
         }
     }
 }

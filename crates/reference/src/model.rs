@@ -36,7 +36,8 @@ pub fn parameter_names() -> impl Iterator<Item = &'static str> {
 }
 
 impl ReferenceModel {
-    /// A model from arrays by name. A missing `radiance_sh` means black, a missing `sheen` means no sheen.
+    /// A model from arrays by name. A missing `radiance_sh` means black, a missing `sheen` means no sheen, a missing
+    /// `sampling_rate` an unknown one.
     ///
     /// # Errors
     /// Names the first parameter that is missing or inconsistent with the others.
@@ -44,6 +45,7 @@ impl ReferenceModel {
         let count = arrays.get(Field::Mean.name()).map_or(0, |a| a.shape()[0]);
         arrays.entry(Field::Radiance.name()).or_insert_with(|| Array::zeros(&[count, 3]));
         arrays.entry(Field::Sheen.name()).or_insert_with(|| Array::zeros(&[count, 1]));
+        arrays.entry(Field::SamplingRate.name()).or_insert_with(|| Array::zeros(&[count, 1]));
         for name in parameter_names() {
             let Some(array) = arrays.get(name) else {
                 return Err(ReferenceModelError { name, reason: "is missing".into() });

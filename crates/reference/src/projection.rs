@@ -80,11 +80,31 @@ pub fn project<'t>(
     let projected = to_image.matmul(covariance).matmul(to_image.transposed()).reshaped(&[count, 4]);
     let (a, b, c) = (projected.column(0), projected.column(1), projected.column(3));
     let sharp = a * c - b * b;
+    let low_pass = low_passes(p, camera, (&indices, z), low_pass);
     let (a, c) = (a + low_pass, c + low_pass);
     let blurred = a * c - b * b;
     let conics = concat(tape, 1, &[c / blurred, -b / blurred, a / blurred]);
     let compensation = (sharp.at_least(0.0) / blurred).sqrt();
     Splats { indices, depths: z, pixels, conics, compensation }
+}
+
+/// The low-pass of each Gaussian, px^2, (V, 1), without gradient: 0.7 of that of the photograph that shows it largest, where this camera
+/// shows it larger (docs/MODEL.md, section 2).
+fn low_passes<'t>(
+    p: &Parameters<'t>,
+    camera: &Camera,
+    (indices, depths): (&[usize], Var<'t>),
+    low_pass: f64,
+) -> Var<'t> {
+    let rates = p.get(Field::SamplingRate).value();
+    let depths = depths.value();
+    let one = |(rate, depth): (f64, f64)| {
+        let enlargement = (camera.fx * camera.fy).sqrt() / (depth * rate);
+        if rate > 0.0 { low_pass * (0.7 * enlargement.powi(2)).max(1.0) } else { low_pass }
+    };
+    let rates = indices.iter().map(|i| rates.data()[*i]);
+    let values = rates.zip(depths.data().iter().copied()).map(one).collect();
+    p.get(Field::Mean).tape.input(Array::new(&[indices.len(), 1], values))
 }
 
 /// Region in which the affine approximation is evaluated.

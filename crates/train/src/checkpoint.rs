@@ -163,8 +163,10 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         let g = &model.gaussians;
         let name = |field: Field| format!("{prefix}.{}", field.name());
         let mut out = Gaussians::zeroed(n, g.prototypes(), g.visibility_degree(), g.radiance_degree());
-        // Checkpoints of models without sheen have no moments of it.
-        let is_there = |field: Field| field != Field::Sheen || file.tensor(&name(field)).is_ok();
+        // Older checkpoints do not have every field.
+        let is_there = |field: Field| {
+            !matches!(field, Field::Sheen | Field::SamplingRate) || file.tensor(&name(field)).is_ok()
+        };
         for (field, _, data) in out.fields_mut().filter(|(field, ..)| is_there(*field)) {
             *data = read(&name(field), data.len())?;
         }

@@ -18,6 +18,7 @@ mod lights;
 mod materials;
 mod memory;
 pub mod render;
+mod sampling_rate;
 mod schedule;
 mod state;
 mod system_memory;

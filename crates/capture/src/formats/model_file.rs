@@ -12,8 +12,10 @@ use relume_scene::{
     SplitLight,
 };
 
-/// The header version that this build writes. It reads versions 1 to 4.
-const VERSION: u32 = 4;
+/// The header version that this build writes. It reads versions 1 to 5.
+const VERSION: u32 = 5;
+/// Version of models without sampling rates, whose diffuse term has the whole light; read unchanged.
+const WITHOUT_SAMPLING_RATES: u32 = 4;
 /// Version of models without sheen; read unchanged.
 const WITHOUT_SHEEN: u32 = 3;
 /// Version of models trained with only the diffuse term shaded at the Gaussians; this build shades both terms there.
@@ -144,7 +146,7 @@ pub fn floats_a_gaussian(model: &Model) -> usize {
 fn is_stored(field: Field, model: &Model) -> bool {
     match field {
         Field::Indirect => model.shading.indirect == IndirectForm::Learned,
-        Field::Sheen => model.gaussians.field(field).iter().any(|s| *s != 0.0),
+        Field::Sheen | Field::SamplingRate => model.gaussians.field(field).iter().any(|v| *v != 0.0),
         _ => true,
     }
 }
@@ -176,7 +178,7 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
     let text = text.ok_or_else(|| bad("header", "is missing: this is not a Relume model".into()))?;
     let mut header: ModelHeader = serde_json::from_str(text).map_err(|e| bad("header", e.to_string()))?;
     match header.version {
-        VERSION | WITHOUT_SHEEN | DIFFUSE_AT_GAUSSIANS => {}
+        VERSION | WITHOUT_SAMPLING_RATES | WITHOUT_SHEEN | DIFFUSE_AT_GAUSSIANS => {}
         ALL_DEFERRED => header.shading.shade_at = ShadeAt::Pixel,
         other => {
             return Err(bad("version", format!("is {other}; this build reads {ALL_DEFERRED} to {VERSION}")));
@@ -201,7 +203,7 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
     );
     let is_required = |field: Field| match field {
         Field::Indirect => header.shading.indirect == IndirectForm::Learned,
-        Field::Sheen => false,
+        Field::Sheen | Field::SamplingRate => false,
         _ => true,
     };
     let present = |field: Field| is_required(field) || file.tensor(field.name()).is_ok();

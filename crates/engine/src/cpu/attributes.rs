@@ -68,6 +68,7 @@ impl AttributeSource<'_> {
             log_scale: g.get(Field::LogScale, i),
             quaternion: g.get(Field::Quaternion, i),
             opacity_logit: g.row(Field::OpacityLogit, i)[0],
+            sampling_rate: g.row(Field::SamplingRate, i)[0],
         }
     }
 

@@ -43,6 +43,8 @@ pub struct Geometry {
     pub quaternion: [f32; 4],
     /// Opacity logit.
     pub opacity_logit: f32,
+    /// Pixels per unit of length in the photograph that shows the Gaussian largest; 0 if unknown.
+    pub sampling_rate: f32,
 }
 
 /// Gradient of a splat from the blending's backward pass.
@@ -145,6 +147,8 @@ struct Projection {
     raw_determinant: f32,
     /// Cross product of the rows of `screen`.
     area: [f32; 3],
+    /// Low-pass of this Gaussian, px^2.
+    low_pass: f32,
 }
 
 fn prepare(view: &RasterCamera, g: &Geometry) -> Option<Projection> {
@@ -183,15 +187,16 @@ fn prepare(view: &RasterCamera, g: &Geometry) -> Option<Projection> {
     }
     let area = cross(&screen[0], &screen[1]);
     let raw_determinant = dot(&area, &area);
-    Some(Projection { camera, to_screen, ratio, axes, scale, screen, raw, raw_determinant, area })
+    let low_pass = view.low_pass_of(camera[2], g.sampling_rate);
+    Some(Projection { camera, to_screen, ratio, axes, scale, screen, raw, raw_determinant, area, low_pass })
 }
 
 /// Projects a Gaussian, or `None` when no pixel can see it.
 pub fn project(view: &RasterCamera, index: u32, g: &Geometry) -> Option<Splat> {
     let p = prepare(view, g)?;
-    let (raw, raw_determinant, low_pass) = (p.raw, p.raw_determinant, view.low_pass);
+    let (raw, raw_determinant, low_pass) = (p.raw, p.raw_determinant, p.low_pass);
     let covariance = [raw[0] + low_pass, raw[1], raw[2] + low_pass];
-    let determinant = blurred_determinant(&p, low_pass);
+    let determinant = blurred_determinant(&p);
     if !(determinant > MIN_DETERMINANT) {
         return None;
     }
@@ -227,7 +232,8 @@ fn cross(a: &[f32; 3], b: &[f32; 3]) -> [f32; 3] {
 }
 
 /// Determinant of the screen covariance, low-pass included.
-fn blurred_determinant(p: &Projection, low_pass: f32) -> f32 {
+fn blurred_determinant(p: &Projection) -> f32 {
+    let low_pass = p.low_pass;
     p.raw_determinant + low_pass * (p.raw[0] + p.raw[2]) + low_pass * low_pass
 }
 
@@ -284,7 +290,7 @@ fn screen_backward(
     by_log_scale: &mut [f32; 3],
 ) -> [[f32; 3]; 2] {
     let [a, b, c] = s.conic;
-    let (determinant, low_pass) = (blurred_determinant(p, view.low_pass), view.low_pass);
+    let (determinant, low_pass) = (blurred_determinant(p), p.low_pass);
     let adjugate = [cross(&p.screen[1], &p.area), cross(&p.area, &p.screen[0])];
     // Below this determinant the derivative of its root overflows f32.
     let has_derivative = view.low_pass_compensation && p.raw_determinant > MIN_DETERMINANT;

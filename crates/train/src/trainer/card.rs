@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use crate::dataset::Gain;
 use crate::trainer::Trainer;
-use crate::{TrainError, exposure};
+use crate::{TrainError, exposure, sampling_rate};
+use relume_engine::PhotoSize;
 use relume_scene::light::LightColour;
 use relume_scene::{Model, SplitLight};
 
@@ -16,6 +17,7 @@ impl Trainer {
     pub fn model(&mut self) -> Result<Model, TrainError> {
         self.wait_for_finite_state()?;
         let mut model = self.engine.state()?.model.clone();
+        sampling_rate::measure(&mut model.gaussians, &self.data.cameras(PhotoSize::Full));
         model.card = serde_json::json!({
             "relume_version": env!("CARGO_PKG_VERSION"),
             "engine": self.engine.engine(),

@@ -4,6 +4,7 @@ import { Uniform, code } from './kernels'
 /** Components of the engine's parameters that a stream fills, by their names in `Layout`. The model defines those of visibility. */
 const PARAMETERS = {
   mean: 3, log_scale: 3, quaternion: 4, opacity: 1, normal: 3, metal: 1, rough: 1, sheen: 1, residual: 3, visibility: 0,
+  sampling_rate: 1,
 } as const
 
 /** The engine's names of stream fields: without prototypes the engine's residual is the albedo. */

@@ -55,6 +55,7 @@ pub fn encode_gaussians(model: &Model, framing: &Framing) -> Vec<u8> {
         Quantity::fine("metal", 1, column(Field::MetalLogit, MAX_LOGIT)),
         Quantity::fine("rough", 1, column(Field::RoughLogit, MAX_LOGIT)),
         Quantity::fine("sheen", 1, column(Field::Sheen, MAX_SHEEN)),
+        Quantity::half("sampling_rate", 1, column(Field::SamplingRate, f32::MAX)),
         Quantity::fine("albedo", 3, rows(&|i| albedo(model, i))),
         Quantity::coarse("visibility", coefficients, column(Field::Visibility, f32::MAX)),
     ];
