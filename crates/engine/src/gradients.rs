@@ -36,8 +36,7 @@ impl RowLayout {
     }
 
     fn of(g: &Gaussians, has: impl Fn(Field) -> bool) -> Self {
-        let is_trained = |field: Field| field != Field::SamplingRate && has(field);
-        let width = Field::ALL.map(|f| if is_trained(f) { g.width(f) } else { 0 });
+        let width = Field::ALL.map(|f| if has(f) { g.width(f) } else { 0 });
         let mut offset = [0; Field::COUNT];
         let mut row = 0;
         for field in Field::ALL {

@@ -13,7 +13,7 @@ use relume_reference::{
 };
 use relume_scene::light::TableResolution;
 use relume_scene::{
-    Camera, DiffuseForm, IndirectForm, LightSplit, MAX_LIGHTS, NormalForm, ShadeAt, ShadingOptions,
+    Camera, DiffuseForm, Field, IndirectForm, LightSplit, MAX_LIGHTS, NormalForm, ShadeAt, ShadingOptions,
     SplitLight, VisibilityForm, texel_directions,
 };
 

@@ -39,6 +39,7 @@ impl ProbeScene {
                 Field::LogScale => (-4.0, -1.2),
                 Field::OpacityLogit => (-3.0, 4.0),
                 Field::Visibility => (-0.3, 0.3),
+                Field::SamplingRate => (5.0, 60.0),
                 _ => (-1.0, 1.0),
             };
             gaussians.field_mut(field).iter_mut().for_each(|v| *v = uniform(lo, hi));

@@ -23,6 +23,7 @@ fn model() -> Model {
         let (low, high) = match field {
             Field::LogScale => (-3.0, -1.8),
             Field::Radiance => (-0.5, 0.5),
+            Field::SamplingRate => (5.0, 60.0),
             _ => (-1.0, 1.0),
         };
         gaussians.field_mut(field).iter_mut().for_each(|v| *v = rng.random_range(low..high));

@@ -42,6 +42,8 @@ impl RasterScene {
             Field::LogScale => (-4.0, -1.8),
             Field::OpacityLogit => (-3.0, 3.0),
             Field::Radiance => (-0.5, 0.5),
+            // Some Gaussians are enlarged, some are not.
+            Field::SamplingRate => (5.0, 60.0),
             _ => (-1.0, 1.0),
         };
         for field in Field::ALL {

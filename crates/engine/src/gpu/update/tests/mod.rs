@@ -64,6 +64,8 @@ fn random_model(shape: &Shape, rng: &mut ChaCha8Rng) -> Model {
         Field::LogScale => (-2.4, 0.6),
         Field::OpacityLogit => (0.5, 1.5),
         Field::Residual => (0.0, 0.5),
+        // Some Gaussians are enlarged, some are not.
+        Field::SamplingRate => (30.0, 25.0),
         Field::Visibility | Field::Indirect | Field::Radiance | Field::Normal => (0.0, 0.4),
         Field::Quaternion | Field::MetalLogit | Field::RoughLogit | Field::Sheen | Field::ProtoLogits => {
             (0.0, 1.5)
