@@ -178,7 +178,7 @@ mod tests {
         let options =
             SyntheticOptions { size: 16, train_views: 12, test_views, paths: 4, ..Default::default() };
         let mut facts = CaptureFacts::of(&synthetic(&options).unwrap());
-        facts.faults.blurred.clear();
+        (facts.faults.blurred, facts.faults.overexposed) = Default::default();
         facts
     }
 
