@@ -15,7 +15,8 @@ use relume_scene::{
 };
 use relume_spec::rendering::{Output, Tier};
 use relume_train::eval::{
-    DisplayImage, EvalError, EvalOptions, Lpips, Report, TruthLayer, attribute, contact_sheet, evaluate,
+    CELL, DisplayImage, EvalError, EvalOptions, Lpips, Report, SheetFormat, SheetRows, TruthLayer, attribute,
+    contact_sheet, evaluate,
 };
 use relume_train::render::{Frame, Renderer};
 
@@ -271,18 +272,34 @@ fn a_capture_without_held_out_views_is_refused() {
     capture.test.clear();
     let refused = evaluate(model.clone(), &capture, &EvalOptions::default());
     assert_eq!(refused.unwrap_err(), EvalError::NoTestViews);
-    assert!(contact_sheet(model, &capture, Tier::Standard, 2, &Device::Cpu).is_err());
+    let rows = SheetRows::choose(&capture, None);
+    assert!(contact_sheet(model, &rows, Tier::Standard, &Device::Cpu).is_err());
 }
 
 #[test]
-fn contact_sheet_is_a_png_with_a_row_per_view() {
+fn contact_sheet_is_an_image_with_a_row_per_view() {
     let model = Arc::new(model());
-    let capture = drawn_by(&model);
-    let sheet = contact_sheet(model, &capture, Tier::Standard, 2, &Device::Cpu).unwrap();
-    let image = image::load_from_memory(&sheet.to_png(64).unwrap()).unwrap().into_rgb8();
-    // 3 images, one light next to its ground truth, 8 layers.
-    assert_eq!(image.width(), 4 + 13 * (64 + 4));
-    assert!(image.height() > 2 * 64 && image.height() < 3 * 64 + 60);
+    let rows = SheetRows::choose(&drawn_by(&model), None);
+    let sheet = contact_sheet(model, &rows, Tier::Standard, &Device::Cpu).unwrap();
+    let image = image::load_from_memory(&sheet.encode(SheetFormat::Png).unwrap()).unwrap().into_rgb8();
+    // 3 pictures, a light next to its ground truth, another light, four layers next to their ground truth.
+    assert_eq!(image.width(), 8 + 14 * (CELL + 8));
+    assert!(image.height() > 3 * CELL && image.height() < 4 * CELL);
+}
+
+#[test]
+fn report_names_the_weakest_view() {
+    let model = Arc::new(model());
+    let mut capture = drawn_by(&model);
+    let mut image = capture.test[1].image.decoded();
+    image.pixels.iter_mut().for_each(|p| p[0] = 1.0 - p[0]);
+    capture.test[1].image = PackedImage::new(&image, BitDepth::Sixteen);
+    let report = measured(&model, &capture);
+    let weakest = report.weakest_view.as_ref().unwrap();
+    assert!(weakest.view == "test_1" && weakest.psnr < 40.0, "{weakest:?}");
+    let rows = SheetRows::choose(&capture, Some(&report));
+    let sheet = contact_sheet(model, &rows, Tier::Standard, &Device::Cpu).unwrap();
+    assert!(sheet.encode(SheetFormat::Jpeg).is_ok());
 }
 
 fn arguments(model: PathBuf, capture: PathBuf, json: PathBuf) -> EvalArgs {
@@ -314,6 +331,9 @@ fn eval_command_names_the_bad_file_and_checks_outputs_first() {
     // The inputs do not exist either: outputs are checked first.
     let unwritable = refused(arguments(file("absent"), file("scene"), file("model/out.json")));
     assert!(unwritable.contains("out.json"), "{unwritable}");
+    let sheet = Some(file("sheet.gif"));
+    let no_sheet = refused(EvalArgs { sheet, ..arguments(file("absent"), file("scene"), file("out.json")) });
+    assert!(no_sheet.contains("sheet.gif") && no_sheet.contains(".png or .jpg"), "{no_sheet}");
     std::fs::write(file("model"), model_file::encode(&model()).unwrap()).unwrap();
     let no_capture = refused(arguments(file("model"), file("scene"), file("out.json")));
     assert!(no_capture.contains("scene"), "{no_capture}");

@@ -31,7 +31,8 @@ fn with_model() -> TempDir {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("scan.zip"), capture_zip()).unwrap();
     let train = ["train", "scan.zip", "--preset", "draft", "--resolution", "32", "--device", "cpu"];
-    let more = ["--set", "iterations=12", "--set", "max_gaussians=64", "--out", "m.safetensors"];
+    let more =
+        ["--set", "iterations=12", "--set", "max_gaussians=64", "--no-sheet", "--out", "m.safetensors"];
     succeeds(folder.path(), &[&train[..], &more].concat());
     folder
 }

@@ -16,7 +16,7 @@ fn train(folder: &Path, more: &[&str]) -> Command {
     std::fs::write(folder.join("scan.zip"), capture_zip()).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
     command.args(["train", "scan.zip", "--preset", "draft", "--resolution", "32", "--device", "cpu"]);
-    command.args(["--set", "max_gaussians=64"]).args(more).current_dir(folder);
+    command.args(["--set", "max_gaussians=64", "--no-sheet"]).args(more).current_dir(folder);
     command
 }
 
@@ -42,6 +42,7 @@ fn json_progress_writes_one_object_per_line() {
     assert!(last["gaussians"].as_u64().unwrap() <= 64 && last["eta_seconds"] == 0.0, "{last}");
     let done = events.last().unwrap();
     assert_eq!((&done["event"], &done["wrote"]), (&"done".into(), &"m.safetensors".into()));
+    assert_eq!(done["summary"].as_array().unwrap().len(), 3, "{done}");
     assert!(events.iter().any(|event| event["event"] == "status"), "{events:?}");
 
     let output = train(folder.path(), &["--progress", "json", "--set", "speed=11"]).output().unwrap();

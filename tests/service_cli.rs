@@ -30,6 +30,14 @@ fn fails_with(folder: &Path, args: &[&str], word: &str) {
     assert!(!output.status.success() && message.contains(word), "{args:?}: {message}");
 }
 
+/// Checks that a training ends with three lines: scores of held-out photographs, the weakest view, causes.
+fn ends_with_scores(said: &str) {
+    let lines: Vec<&str> = said.lines().rev().take(3).collect();
+    let starts = ["causes: ", "weakest: ", "held-out photographs ("];
+    assert!(lines.iter().zip(starts).all(|(line, start)| line.starts_with(start)), "{said}");
+    assert!(lines[2].contains(" dB") && !lines[2].contains("PSNR -"), "{said}");
+}
+
 #[test]
 fn cli_trains_renders_and_exports_a_capture() {
     let folder = TempDir::new().unwrap();
@@ -38,7 +46,12 @@ fn cli_trains_renders_and_exports_a_capture() {
     let train =
         ["train", "scan.zip", "--preset", "draft", "--resolution", "32", "--seed", "3", "--device", "cpu"];
     let more = ["--set", "iterations=12", "--set", "max_gaussians=64", "--out", "m.safetensors"];
-    succeeds(at, &[&train[..], &more].concat());
+    let output = relume(at, &[&train[..], &more].concat());
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{said}");
+    ends_with_scores(&said);
+    let sheet = image_file::dimensions(&std::fs::read(at.join("m.sheet.png")).unwrap()).unwrap();
+    assert!(sheet.0 > 9 * 320 && sheet.1 > 320, "{sheet:?}");
     let model = model_file::decode(&std::fs::read(at.join("m.safetensors")).unwrap()).unwrap();
     assert_eq!((&model.card["steps"], &model.card["config"]["seed"]), (&12.into(), &3.into()));
     for (file, env) in [("a.png", "studio"), ("b.exr", "recovered"), ("c.jpg", "night")] {
@@ -98,8 +111,9 @@ fn a_light_with_implausible_exposure_gives_a_warning() {
     let says = |exposure: &str| {
         let args = ["train", "scan.zip", "--preset", "draft", "--resolution", "32", "--iterations", "2"];
         let light = ["--set", "max_gaussians=64", "--light", "studio", "--light-exposure", exposure];
-        let output = relume(at, &[&args, &light[..], &["--device", "cpu", "--out", "m"]].concat());
-        assert!(output.status.success());
+        let output =
+            relume(at, &[&args, &light[..], &["--device", "cpu", "--no-sheet", "--out", "m"]].concat());
+        assert!(output.status.success() && !at.join("m.sheet.png").exists());
         String::from_utf8_lossy(&output.stderr).contains("stops from its usual level in photographs")
     };
     assert_eq!(["auto", "0", "3", "-4"].map(says), [false, false, true, true]);
@@ -114,7 +128,7 @@ fn cli_training_resumes_from_its_checkpoint_and_removes_it() {
         let args = ["train", "scan.zip", "--preset", "draft", "--resolution", "32", "--iterations", "12"];
         let set =
             ["--device", "cpu", "--set", "max_gaussians=64", "--set", "checkpoint_every=5", "--out", out];
-        relume(at, &[&args, &set[..], more].concat())
+        relume(at, &[&args, &set[..], &["--no-sheet"], more].concat())
     };
     assert!(train("whole.safetensors", &[]).status.success());
 

@@ -1,7 +1,7 @@
 //! `relume demo`: runs the whole service on a scene with known ground truth, in one command and within a few minutes.
 //!
-//! The demo starts a server and does what a user would do over HTTP: upload, train, render, download. Only the evaluation runs
-//! locally, because the server does not have the ground truth.
+//! The demo starts a server and does what a user would do over HTTP: upload, train, render, download. Only the evaluation and its
+//! contact sheet are made locally, because the server does not have the ground truth.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -20,15 +20,14 @@ use relume_capture::formats::environment::{self, EnvironmentFileError};
 use relume_capture::formats::model_file::{self, ModelFileError};
 use relume_capture::{Capture, CaptureError, CaptureView, SyntheticOptions, synthetic, write_archive};
 use relume_client::{Client, ClientError, JobEvent};
-use relume_spec::rendering::{FrameFormat, Output};
+use relume_spec::rendering::FrameFormat;
 use relume_spec::training::{Preset, TrainOverrides};
-use relume_train::eval::sheet::Sheet;
-use relume_train::eval::{DisplayImage, EvalError, EvalOptions, Report, evaluate, photograph, truth_layers};
+use relume_train::eval::{
+    CaptureFacts, EvalError, EvalOptions, Report, Sheet, SheetFormat, SheetRows, contact_sheet, evaluate,
+};
 
-/// Test views on the contact sheet, with two rows each.
-const SHEET_VIEWS: usize = 3;
-/// Side of a cell of the contact sheet, pixels.
-const CELL: u32 = 160;
+/// Width and height of the relit pictures, pixels.
+const SIZE: u32 = 512;
 
 /// Demonstrate Relume: train on a synthetic capture, relight it and compare the result with the exact ground truth.
 #[derive(Debug, Clone, clap::Args)]
@@ -75,9 +74,9 @@ pub enum DemoError {
     /// A light could not be encoded.
     #[error(transparent)]
     Light(#[from] EnvironmentFileError),
-    /// The server did not send a valid image.
-    #[error("rendered picture: {0}")]
-    Picture(#[from] image::ImageError),
+    /// The contact sheet could not be encoded.
+    #[error("contact sheet: {0}")]
+    Sheet(#[from] image::ImageError),
     /// The server did not send a valid model.
     #[error(transparent)]
     Model(#[from] ModelFileError),
@@ -137,14 +136,16 @@ async fn show(
     args: &DemoArgs,
 ) -> Result<Report, DemoError> {
     let (model, training_seconds) = train(client, capture_id, args).await?;
-    println!("4/5 relighting held-out views under {}", listed(&capture));
-    let sheet = contact_sheet(client, &model, &capture).await?;
-    write(&args.out.join("contact_sheet.png"), &sheet.to_png(CELL)?)?;
+    println!("4/5 relighting a held-out view under {}", listed(&capture));
+    for (name, picture) in relit_pictures(client, &model, &capture).await? {
+        write(&args.out.join(format!("relit_{name}.png")), &picture)?;
+    }
 
     println!("5/5 comparing with the ground truth, every held-out view under every light");
     let bytes = client.file(&model, "model.safetensors").await?;
     write(&args.out.join("model.safetensors"), &bytes)?;
-    let mut report = tokio::task::spawn_blocking(move || measure(&bytes, &capture)).await??;
+    let (mut report, sheet) = tokio::task::spawn_blocking(move || measure(&bytes, &capture)).await??;
+    write(&args.out.join("contact_sheet.png"), &sheet.encode(SheetFormat::Png)?)?;
     report.note_training_seconds(training_seconds);
     write(&args.out.join("report.json"), report.to_json().as_bytes())?;
     write(&args.out.join("report.md"), report.to_markdown().as_bytes())?;
@@ -198,32 +199,19 @@ fn show_event(bar: &ProgressBar, event: &JobEvent) {
     }
 }
 
-/// Two rows per view: the render of the service, and the ground truth.
-async fn contact_sheet(client: &Client, model: &ModelId, capture: &Capture) -> Result<Sheet, DemoError> {
-    let lights = upload_lights(client, capture).await?;
-    let mut columns = vec!["input".to_owned()];
-    columns.extend(lights.iter().map(|(name, _)| format!("relit {name}")));
-    columns.extend(["albedo", "normal", "roughness", "ao"].map(str::to_owned));
-    let mut sheet = Sheet::new(columns);
-    let step = capture.test.len().div_ceil(SHEET_VIEWS).max(1);
-    for view in capture.test.iter().step_by(step) {
-        let mut rendered = vec![Some(frame(client, model, view, Output::Rgb, None).await?)];
-        for (_, id) in &lights {
-            rendered.push(Some(frame(client, model, view, Output::Rgb, Some(id)).await?));
+/// The first held-out view under each light of the ground truth, from the render endpoint, as PNG with the light's name.
+async fn relit_pictures(
+    client: &Client,
+    model: &ModelId,
+    capture: &Capture,
+) -> Result<Vec<(String, Vec<u8>)>, DemoError> {
+    let mut pictures = Vec::new();
+    for (name, light) in upload_lights(client, capture).await? {
+        if let Some(view) = capture.test.first() {
+            pictures.push((name.to_owned(), picture(client, model, view, light).await?));
         }
-        rendered.push(Some(frame(client, model, view, Output::Albedo, None).await?));
-        let coverage = frame(client, model, view, Output::Alpha, None).await?;
-        for output in [Output::Normal, Output::Roughness, Output::Visibility] {
-            let layer = frame(client, model, view, output, None).await?;
-            rendered.push(Some(cut_out(&layer, &coverage)));
-        }
-        let mut truth = vec![Some(photograph(&view.image.decoded()))];
-        truth.extend(lights.iter().map(|(name, _)| view.truth.relit.get(*name).map(photograph)));
-        truth.extend(truth_layers(view));
-        sheet.push(format!("{}: recovered by Relume", view.name), rendered);
-        sheet.push(format!("{}: ground truth", view.name), truth);
     }
-    Ok(sheet)
+    Ok(pictures)
 }
 
 /// Uploads the lights of the ground truth as environments. Returns name and identifier of each.
@@ -239,42 +227,33 @@ async fn upload_lights<'a>(
     Ok(lights)
 }
 
-/// One output of one view from the render endpoint, on white. The light is the recovered light unless one is given.
-async fn frame(
+/// A view under a light from the render endpoint, as PNG.
+async fn picture(
     client: &Client,
     model: &ModelId,
     view: &CaptureView,
-    output: Output,
-    light: Option<&EnvironmentId>,
-) -> Result<DisplayImage, DemoError> {
-    let camera = &view.camera;
+    light: EnvironmentId,
+) -> Result<Vec<u8>, DemoError> {
     let request = RenderRequest {
-        camera: CameraSpec::of(camera, CameraConvention::Opengl),
-        environment: EnvironmentSpec { id: light.cloned(), ..EnvironmentSpec::default() },
-        width: camera.width,
-        height: camera.height,
-        outputs: vec![output],
+        camera: CameraSpec::of(&view.camera.resized(SIZE, SIZE), CameraConvention::Opengl),
+        environment: EnvironmentSpec { id: Some(light), ..EnvironmentSpec::default() },
+        width: SIZE,
+        height: SIZE,
         ..RenderRequest::default()
     };
-    let png = client.render(model, &request, FrameFormat::Png).await?;
-    let image = image::load_from_memory(&png)?.into_rgba32f();
-    let on_white = |p: &image::Rgba<f32>| {
-        let [r, g, b, a] = p.0;
-        [r, g, b].map(|v| v * a + 1.0 - a)
-    };
-    let values = image.pixels().map(on_white).collect();
-    Ok(DisplayImage { width: image.width(), height: image.height(), values })
+    Ok(client.render(model, &request, FrameFormat::Png).await?.to_vec())
 }
 
-/// A layer without its own alpha, composited on white by the coverage of the frame.
-fn cut_out(layer: &DisplayImage, coverage: &DisplayImage) -> DisplayImage {
-    let pixel = |(c, a): (&[f32; 3], &[f32; 3])| std::array::from_fn(|k| c[k] * a[k] + 1.0 - a[k]);
-    DisplayImage { values: layer.values.iter().zip(&coverage.values).map(pixel).collect(), ..*layer }
-}
-
-fn measure(model: &[u8], capture: &Capture) -> Result<Report, DemoError> {
+/// The report on a model, and its contact sheet.
+fn measure(model: &[u8], capture: &Capture) -> Result<(Report, Sheet), DemoError> {
     let model = Arc::new(model_file::decode(model)?);
-    Ok(evaluate(model, capture, &EvalOptions::default())?)
+    let options = EvalOptions::default();
+    let mut report = evaluate(model.clone(), capture, &options)?;
+    report.summary = CaptureFacts::of(capture).summary(&report, &model.card);
+    let rows = SheetRows::choose(capture, Some(&report));
+    let mut sheet = contact_sheet(model, &rows, options.quality, options.device)?;
+    report.summary.iter().for_each(|line| sheet.add_heading(line));
+    Ok((report, sheet))
 }
 
 fn summary(report: &Report, out: &Path, took: Duration) {
@@ -292,9 +271,11 @@ fn summary(report: &Report, out: &Path, took: Duration) {
     println!("albedo, aligned        {} dB", figure(report.albedo.psnr_aligned));
     println!("normals                {} degrees off", figure(report.normal_mae_deg.foreground));
     println!("{} Gaussians, {:.0} s in total", report.gaussians, took.as_secs_f64());
+    report.summary.iter().for_each(|line| println!("{line}"));
     println!();
     for (file, what) in [
-        ("contact_sheet.png", "photographs, renders and layers side by side"),
+        ("contact_sheet.png", "photographs, renders and layers next to the ground truth"),
+        ("relit_*.png", "a view under each light, from the server"),
         ("report.md", "all figures and how they were measured"),
         ("report.json", "the report as JSON"),
         ("model.safetensors", "the model"),

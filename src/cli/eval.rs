@@ -8,17 +8,12 @@ use indicatif::{ProgressBar, ProgressStyle};
 pub use crate::cli::args::QualityArgs;
 use crate::cli::error::CommandResult;
 use crate::cli::light::read_rotations;
+use crate::cli::sheet::{sheet_format, write_sheet};
 use crate::cli::{input, output};
-use relume_capture::{Capture, ImportOptions, import};
+use relume_capture::{Capture, ImportLimits, ImportOptions, Up, import};
 use relume_engine::{Device, DeviceChoice};
-use relume_scene::Model;
-use relume_train::eval::{EvalOptions, Lpips, contact_sheet, evaluate};
+use relume_train::eval::{CaptureFacts, EvalOptions, Lpips, SheetRows, contact_sheet, evaluate};
 use relume_train::up_of_card;
-
-/// Side of a cell of the contact sheet, pixels.
-const CELL: u32 = 200;
-/// Number of views on the contact sheet.
-const SHEET_ROWS: usize = 4;
 
 /// Compare a model with the held-out views and the ground truth of a capture.
 #[derive(Debug, clap::Args)]
@@ -34,7 +29,8 @@ pub struct EvalArgs {
     /// Write the report as Markdown to this file. The report is also printed.
     #[arg(long, value_name = "FILE")]
     pub markdown: Option<PathBuf>,
-    /// Write a contact sheet as PNG to this file.
+    /// Write a contact sheet to this file, `.png` or `.jpg`: photographs, renders, relit pictures, all layers and the error, each
+    /// next to its ground truth if the capture has it.
     #[arg(long, value_name = "FILE")]
     pub sheet: Option<PathBuf>,
     /// LPIPS v0.1 AlexNet weights (safetensors). Without them, LPIPS is omitted and the report states this.
@@ -63,9 +59,11 @@ pub struct EvalArgs {
 /// The error names the affected file. The folders of the output files are created before the evaluation.
 pub fn run(args: &EvalArgs) -> CommandResult {
     [&args.json, &args.markdown, &args.sheet].into_iter().flatten().try_for_each(|f| make_folder(f))?;
+    args.sheet.as_deref().map(sheet_format).transpose()?;
     let model = Arc::new(input::read_model(&args.model)?);
     let lpips = args.lpips.as_deref().map(Lpips::read).transpose()?;
-    let capture = load_capture(args, &model)?;
+    let up = up_of_card(&model.card)?;
+    let capture = load_capture(args, up)?;
 
     let bar = progress_bar();
     let progress = |done: usize, total: usize| {
@@ -81,8 +79,9 @@ pub fn run(args: &EvalArgs) -> CommandResult {
         quality: args.quality.quality(EvalOptions::TIER),
         ..EvalOptions::default()
     };
-    let report = evaluate(model.clone(), &capture, &options)?;
+    let mut report = evaluate(model.clone(), &capture, &options)?;
     bar.finish_and_clear();
+    report.summary = CaptureFacts::of(&capture).summary(&report, &model.card);
 
     let markdown = report.to_markdown();
     println!("{markdown}");
@@ -93,16 +92,17 @@ pub fn run(args: &EvalArgs) -> CommandResult {
         output::write_named(path, markdown.as_bytes())?;
     }
     if let Some(path) = &args.sheet {
-        let sheet =
-            contact_sheet(model, &capture, args.quality.quality(EvalOptions::TIER), SHEET_ROWS, &device)?;
-        output::write_named(path, &sheet.to_png(CELL)?)?;
+        let mut rows = SheetRows::choose(&capture, Some(&report));
+        rows.read_again(&args.capture, up, &ImportLimits::default())?;
+        let mut sheet = contact_sheet(model, &rows, options.quality, &device)?;
+        report.summary.iter().for_each(|line| sheet.add_heading(line));
+        write_sheet(path, &sheet)?;
     }
     Ok(())
 }
 
 /// The capture in the world of the model.
-fn load_capture(args: &EvalArgs, model: &Model) -> CommandResult<Capture> {
-    let up = up_of_card(&model.card)?;
+fn load_capture(args: &EvalArgs, up: Up) -> CommandResult<Capture> {
     let options = ImportOptions { max_side: args.resolution, up, ..ImportOptions::default() };
     let mut capture = import(&args.capture, &options)?;
     if let Some(file) = &args.light_rotations {

@@ -24,11 +24,13 @@ mod render;
 mod sample;
 mod serve;
 mod setting_flags;
+mod sheet;
 mod size;
 mod stop;
 #[cfg(feature = "otlp")]
 mod traces;
 mod train;
+mod train_summary;
 mod worker;
 mod worker_progress;
 mod workers;

@@ -127,16 +127,18 @@ impl ProgressReporter {
         }
     }
 
-    /// Reports success; `wrote` names the file or model that was written.
-    pub(super) fn done(&self, wrote: &str) {
+    /// Reports success; `wrote` names the file or model that was written, and `summary` has sentences on its quality.
+    pub(super) fn done(&self, wrote: &str, summary: &[String]) {
         match self.kind {
             ProgressKind::Human => {
                 self.bar.finish();
                 eprintln!("wrote {wrote}");
+                summary.iter().for_each(|line| eprintln!("{line}"));
             }
-            ProgressKind::Json => print(&json!({ "event": "done", "wrote": wrote }).to_string()),
+            ProgressKind::Json => print(&done_line(wrote, summary).to_string()),
             ProgressKind::Openjd => {
                 print("openjd_progress: 100.0");
+                summary.iter().for_each(|line| print(&format!("openjd_status: {}", one_line(line))));
                 print(&format!("openjd_status: wrote {}", one_line(wrote)));
             }
         }
@@ -163,6 +165,15 @@ fn step_line(step: &StepProgress, eta: Option<f64>) -> Value {
         "gaussians": step.gaussians,
         "eta_seconds": eta.map(|eta| rounded(eta, 10.0)),
     })
+}
+
+/// The last line. Without a summary it has no such field.
+fn done_line(wrote: &str, summary: &[String]) -> Value {
+    let mut line = json!({ "event": "done", "wrote": wrote });
+    if !summary.is_empty() {
+        line["summary"] = summary.into();
+    }
+    line
 }
 
 fn summary(step: &StepProgress) -> String {
@@ -197,6 +208,13 @@ mod tests {
             "gaussians": 64, "eta_seconds": 1.5 });
         assert_eq!(step_line(&step, Some(1.52)), line);
         assert_eq!(step_line(&step, None)["eta_seconds"], Value::Null);
+    }
+
+    #[test]
+    fn done_line_has_a_summary_only_if_there_is_one() {
+        assert_eq!(done_line("m", &[]), json!({ "event": "done", "wrote": "m" }));
+        let lines = ["a".to_owned(), "b".to_owned()];
+        assert_eq!(done_line("m", &lines)["summary"], json!(["a", "b"]));
     }
 
     #[test]

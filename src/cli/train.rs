@@ -3,6 +3,7 @@
 use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 
 use crate::cli::args::{named, overrides};
 use crate::cli::capture::{PoseArgs, posed};
@@ -11,7 +12,9 @@ use crate::cli::light::{named_light, read_rotations};
 use crate::cli::output;
 use crate::cli::progress::{ProgressKind, ProgressReporter, StepProgress};
 use crate::cli::setting_flags::SettingFlags;
+use crate::cli::sheet::sheet_beside;
 use crate::cli::stop::StopSignal;
+use crate::cli::train_summary::{SummaryFiles, TrainedCapture};
 use relume_capture::formats::model_file;
 use relume_capture::{Capture, ImportLimits, Up};
 use relume_engine::{Device, DeviceChoice};
@@ -90,9 +93,16 @@ pub(super) struct TrainArgs {
     /// standard output.
     #[arg(long, value_enum, default_value_t = ProgressKind::Human, value_name = "KIND")]
     progress: ProgressKind,
-    /// The model file to write.
+    /// The model file to write. A contact sheet is written beside it: photographs, renders, two relit pictures, all layers and the
+    /// error, in `model.sheet.png` for `model.safetensors`.
     #[arg(long, default_value = "model.safetensors")]
     out: PathBuf,
+    /// Write no contact sheet.
+    #[arg(long)]
+    no_sheet: bool,
+    /// LPIPS v0.1 AlexNet weights (safetensors). With them the scores at the end include LPIPS.
+    #[arg(long, value_name = "WEIGHTS", env = "RELUME_LPIPS_WEIGHTS")]
+    lpips: Option<PathBuf>,
 }
 
 pub(super) fn run(args: &TrainArgs) -> CommandResult<ExitCode> {
@@ -125,6 +135,7 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
     progress.status(&format!("{}: {trained} images to train on, {held_out} held out", capture.layout));
     let need = MemoryEstimate::of(&PhotographSizes::of(&capture), &config, budget.on_device);
     progress.status(&format!("memory: {need}{}", left(budget)));
+    let trained_capture = TrainedCapture::of(&capture, &path, &config);
     let mut trainer = trainer(&capture, config, &device, args.checkpoint.as_deref(), progress)?;
     // The trainer shares the pixels that it needs.
     drop(capture);
@@ -142,7 +153,12 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
         std::fs::remove_file(file)?;
     }
     progress.status(&waited(&trainer, trainer.seconds() - before));
-    progress.done(&args.out.display().to_string());
+    // The renderer needs the trainer's device memory.
+    drop(trainer);
+    let sheet = (!args.no_sheet).then(|| sheet_beside(&args.out));
+    let files = SummaryFiles { sheet: sheet.as_deref(), lpips: args.lpips.as_deref(), model: &args.out };
+    let lines = trained_capture.summarise(&Arc::new(model), &device, files, progress);
+    progress.done(&args.out.display().to_string(), &lines);
     Ok(ExitCode::SUCCESS)
 }
 

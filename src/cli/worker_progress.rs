@@ -48,7 +48,7 @@ fn say(progress: &mut ProgressReporter, told: WorkerEvent<'_>) {
             None => progress.status(report.message.as_deref().unwrap_or("working")),
         },
         WorkerEvent::Warning(message) => progress.warning(message),
-        WorkerEvent::Published => progress.done("the model; it is published"),
+        WorkerEvent::Published => progress.done("the model; it is published", &[]),
         WorkerEvent::Failed(detail) => progress.fail(detail),
         WorkerEvent::Released => progress.stopped("returned the job to the queue"),
         WorkerEvent::Cancelled => progress.stopped("the job was cancelled"),

@@ -59,6 +59,18 @@ impl UndecodedCapture {
         &self.sizes
     }
 
+    /// Leaves out all photographs except those with these names. [`Self::decode`] chooses the held-out views from the
+    /// remaining ones if the capture itself names none.
+    ///
+    /// # Errors
+    /// [`CaptureError::OverLimit`] as [`Self::open`].
+    pub fn retain(&mut self, names: &BTreeSet<&str>) -> Result<(), CaptureError> {
+        self.layout.photos.retain(|photo| names.contains(photo.image.as_str()));
+        self.decoded.clear();
+        self.sizes = photos::sizes(&self.source, &self.layout.photos, &self.options)?;
+        Ok(())
+    }
+
     /// The cameras of the photographs at their stored size, in the order of the layout.
     ///
     /// # Errors

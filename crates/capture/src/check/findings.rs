@@ -9,7 +9,7 @@ use crate::photo_finder::MIN_IMAGES;
 
 /// Numbers of photographs below which a set is too small, or small.
 const TOO_FEW: usize = 12;
-const FEW: usize = 40;
+pub(super) const FEW: usize = 40;
 /// Sharpness relative to the median of the set, below which a photograph is blurred.
 const BLURRED: f64 = 0.35;
 /// Similarity to the most similar photograph, below which a photograph overlaps too little with the others.
@@ -48,18 +48,16 @@ pub(super) fn findings(photos: &[PhotoStats], unreadable: &[String]) -> Vec<Find
     all.extend(about(
         photos,
         "are blurred compared with the others: hold the camera still, add light or shorten the exposure",
-        |photo| photo.sharpness < BLURRED * median,
+        |photo| is_blurred(photo, median),
     ));
     all.extend(about(
         photos,
         "overlap too little with the others: each should show at least two thirds of what its neighbour shows",
         |photo| photos.len() > 1 && photo.overlap < ALONE,
     ));
-    all.extend(about(photos, "are dark: add light, or use a tripod and a longer exposure", |photo| {
-        photo.brightness < DARK
-    }));
+    all.extend(about(photos, "are dark: add light, or use a tripod and a longer exposure", is_dark));
     let clipped = "are overexposed in a tenth of their pixels or more: reduce the exposure, unless the background is white";
-    all.extend(about(photos, clipped, |photo| photo.clipped > CLIPPED).map(hint));
+    all.extend(about(photos, clipped, is_overexposed).map(hint));
     all.extend(
         about(photos, "are small: images of less than 640 pixels show little detail", |photo| {
             photo.size.0.max(photo.size.1) < SMALL
@@ -70,6 +68,19 @@ pub(super) fn findings(photos: &[PhotoStats], unreadable: &[String]) -> Vec<Find
     all.extend(camera(photos));
     all.sort_by_key(|finding| !finding.is_problem);
     all
+}
+
+/// True if a photograph is blurred compared with photographs of the same scene whose sharpness has this median.
+pub(super) fn is_blurred(photo: &PhotoStats, median: f64) -> bool {
+    photo.sharpness < BLURRED * median
+}
+
+pub(super) fn is_dark(photo: &PhotoStats) -> bool {
+    photo.brightness < DARK
+}
+
+pub(super) fn is_overexposed(photo: &PhotoStats) -> bool {
+    photo.clipped > CLIPPED
 }
 
 /// A hint for each reason for which image files are no photographs.
@@ -188,7 +199,7 @@ fn camera(photos: &[PhotoStats]) -> Vec<Finding> {
     found
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }

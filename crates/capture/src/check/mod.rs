@@ -1,10 +1,12 @@
 //! Fast checks whether photographs are suitable for training: number, blur, exposure, overlap.
 
+mod faults;
 mod findings;
 mod image_checks;
 mod overlap;
 mod photo;
 
+pub use faults::PhotographFaults;
 pub use findings::Finding;
 pub(super) use image_checks::ImageChecks;
 pub use photo::PhotoStats;

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::eval::exposure::matched;
+use crate::eval::image::{DisplayImage, psnr};
 use crate::eval::layers::{albedo_psnr, masked_psnr};
 use crate::eval::lpips::Lpips;
 use crate::eval::report::{AlbedoScores, ImageScores, RelitScores, Report};
@@ -155,6 +156,7 @@ impl Evaluation<'_> {
         let (mut shaded_matched, mut radiance_matched) = (ImageTotals::default(), ImageTotals::default());
         let mut totals = LayerTotals::default();
         let (mut inside, mut pixels) = (Mean::default(), (0u64, 0u64));
+        let has_materials = renderer.model().has_materials();
         for view in &self.views {
             let light = light_of(renderer, view, &mut own)?;
             let layers = ViewLayers::render(renderer, &view.camera, light, self.options.quality)
@@ -162,9 +164,11 @@ impl Evaluation<'_> {
             let truth = shown_by(renderer.model(), view, &layers.alpha);
             shaded.add(&layers.shaded, &truth, self.options.lpips);
             radiance.add(&layers.radiance, &truth, self.options.lpips);
-            let at_its_exposure = |picture| matched(picture, &layers.alpha, &truth);
-            shaded_matched.add(&at_its_exposure(&layers.shaded), &truth, self.options.lpips);
-            radiance_matched.add(&at_its_exposure(&layers.radiance), &truth, self.options.lpips);
+            let at_its_exposure = |picture: &DisplayImage| matched(picture, &layers.alpha, &truth);
+            let matched = [&layers.shaded, &layers.radiance].map(at_its_exposure);
+            shaded_matched.add(&matched[0], &truth, self.options.lpips);
+            radiance_matched.add(&matched[1], &truth, self.options.lpips);
+            report.note_view(&view.name, psnr(&matched[usize::from(!has_materials)], &truth));
             totals.add(&layers, view);
             let mask = foreground(&view.image);
             inside.add(masked_psnr(&layers.shaded.values, &truth.values, &mask));
@@ -372,7 +376,7 @@ pub(crate) fn refused(view: &CaptureView, source: RenderError) -> EvalError {
 }
 
 /// `count` of the views, evenly spaced over the list; all of them if there are no more.
-pub fn evenly_spaced(views: &[CaptureView], count: Option<usize>) -> Vec<&CaptureView> {
+pub fn evenly_spaced<T>(views: &[T], count: Option<usize>) -> Vec<&T> {
     let count = count.unwrap_or(views.len()).min(views.len());
     (0..count).map(|i| &views[i * views.len() / count]).collect()
 }

@@ -4,8 +4,10 @@
 //! [`Report::protocol`] states it completely in every report.
 
 mod attribution;
+mod cell;
 mod contact;
 mod conv;
+mod coverage;
 mod evaluate;
 mod exposure;
 mod image;
@@ -14,12 +16,16 @@ mod lpips;
 mod novel_views;
 mod pose_error;
 mod report;
-pub mod sheet;
+mod sheet;
+mod sheet_rows;
+mod summary;
+mod text;
 mod totals;
 mod views;
 
 pub use attribution::{TruthLayer, attribute};
-pub use contact::{contact_sheet, truth_layers};
+pub use cell::CELL;
+pub use contact::contact_sheet;
 pub use evaluate::{EvalError, EvalOptions, evaluate};
 pub use evaluate::{evenly_spaced, lights_of};
 pub use image::{DisplayImage, PSNR_CAP, mean_squared_error, psnr, psnr_of, ssim};
@@ -28,6 +34,9 @@ pub use lpips::{Lpips, LpipsError};
 pub use novel_views::{NovelViewScores, NovelViews};
 pub use pose_error::PoseErrors;
 pub use report::figure;
-pub use report::{AlbedoScores, ImageScores, NormalScores, RelitScores, Report};
+pub use report::{AlbedoScores, ImageScores, NormalScores, RelitScores, Report, ViewScore};
+pub use sheet::{Column, Sheet, SheetFormat};
+pub use sheet_rows::SheetRows;
+pub use summary::CaptureFacts;
 pub use views::on_white;
 pub use views::photograph;

@@ -50,6 +50,16 @@ pub struct NormalScores {
     pub all_pixels: Option<f64>,
 }
 
+/// The score of one view.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ViewScore {
+    /// The name of the photograph.
+    pub view: String,
+    /// PSNR at the exposure and white balance of the photograph, dB: of the physically based branch; of the radiance
+    /// branch for a model without materials.
+    pub psnr: f64,
+}
+
 /// All measurements of `relume eval`. A value that could not be measured is null, and `notes` states the reason.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
@@ -77,6 +87,12 @@ pub struct Report {
     /// As `novel_view_radiance`, with the same matching.
     #[serde(default)]
     pub novel_view_radiance_matched: ImageScores,
+    /// The compared view with the lowest PSNR.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weakest_view: Option<ViewScore>,
+    /// Scores, weaknesses and their probable causes, a sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub summary: Vec<String>,
     /// Held-out views under lights without photographs, with the recovered albedo.
     pub relit: RelitScores,
     /// As `relit`, after the albedo alignment.
@@ -104,6 +120,14 @@ pub struct Report {
 }
 
 impl Report {
+    /// Keeps the score of a view if it is the lowest so far. A score that is not a number is not kept.
+    pub(super) fn note_view(&mut self, view: &str, psnr: f64) {
+        let lowest = self.weakest_view.as_ref().map_or(f64::INFINITY, |weakest| weakest.psnr);
+        if psnr < lowest {
+            self.weakest_view = Some(ViewScore { view: view.to_owned(), psnr });
+        }
+    }
+
     /// Adds a training time that the caller knows, e.g. from a job, if the model card has none.
     pub fn note_training_seconds(&mut self, seconds: Option<f64>) {
         if self.training_seconds.is_none() && seconds.is_some() {
@@ -136,6 +160,10 @@ impl Report {
         out.push_str("\n| measurement | value |\n|---|---|\n");
         for (name, value) in self.figures() {
             let _ = writeln!(out, "| {name} | {value} |");
+        }
+        if !self.summary.is_empty() {
+            out.push('\n');
+            self.summary.iter().for_each(|line| out.push_str(&format!("- {line}\n")));
         }
         let _ = writeln!(out, "\nProtocol: {}", self.protocol);
         for (key, reason) in &self.notes {
@@ -217,6 +245,19 @@ mod tests {
     fn report_round_trips_through_json() {
         let mut report = Report { ao_mae: Some(0.125), ..Default::default() };
         report.relit.lights.insert("night".into(), ImageScores { ssim: Some(0.5), ..Default::default() });
+        assert_eq!(serde_json::from_str::<Report>(&report.to_json()).unwrap(), report);
+    }
+
+    #[test]
+    fn lowest_score_is_kept_and_nan_is_not() {
+        let mut report = Report::default();
+        for (view, psnr) in [("a", 20.0), ("b", f64::NAN), ("c", 18.0), ("d", 19.0)] {
+            report.note_view(view, psnr);
+        }
+        assert_eq!(report.weakest_view, Some(ViewScore { view: "c".to_owned(), psnr: 18.0 }));
+        assert!(report.to_json().contains("weakest_view") && !report.to_json().contains("summary"));
+        report.summary.push("weakest: c".to_owned());
+        assert!(report.to_markdown().contains("\n- weakest: c\n\nProtocol"), "{}", report.to_markdown());
         assert_eq!(serde_json::from_str::<Report>(&report.to_json()).unwrap(), report);
     }
 

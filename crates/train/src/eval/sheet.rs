@@ -1,76 +1,154 @@
-//! Contact sheets: labelled images in a grid, as a PNG.
+//! Contact sheets: labelled images in a grid, as an image file.
 
 use std::io::Cursor;
 
+use image::codecs::jpeg::JpegEncoder;
 use image::{ImageFormat, Rgb, RgbImage};
-use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
 use crate::eval::image::DisplayImage;
-use relume_scene::Plane;
+use crate::eval::text::{LINE, PAPER, width_of, wrapped, write};
 
-const PAPER: [u8; 3] = [24, 24, 27];
-const INK: [u8; 3] = [235, 235, 235];
-/// Weight and height in pixels of the label font.
-const WEIGHT: FontWeight = FontWeight::Regular;
-const LETTERS: RasterHeight = RasterHeight::Size16;
-/// Pixels between cells.
-const GAP: u32 = 4;
+/// Pixels between cells and at the edges.
+const GAP: u32 = 8;
+/// JPEG quality, 0 to 100: no block structure is visible that could be taken for an error of the model.
+const JPEG_QUALITY: u8 = 92;
 
-/// A grid of images with a label above each column and each row.
+/// The label of a column.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Column {
+    /// The picture, e.g. `albedo`.
+    pub title: String,
+    /// A second line, e.g. the name of the light; may be empty.
+    pub detail: String,
+}
+
+impl Column {
+    /// A column.
+    pub fn new(title: impl Into<String>, detail: impl Into<String>) -> Self {
+        Self { title: title.into(), detail: detail.into() }
+    }
+}
+
+/// The file format of a sheet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SheetFormat {
+    /// PNG, without loss.
+    #[default]
+    Png,
+    /// JPEG, about a quarter of the size.
+    Jpeg,
+}
+
+/// A grid of images. A label stands above each column and each row, and lines of text above the grid.
 #[derive(Debug, Clone, Default)]
 pub struct Sheet {
-    columns: Vec<String>,
+    heading: Vec<String>,
+    columns: Vec<Column>,
     rows: Vec<(String, Vec<Option<DisplayImage>>)>,
 }
 
 impl Sheet {
     /// An empty sheet with these columns.
-    pub fn new(columns: impl IntoIterator<Item = impl Into<String>>) -> Self {
-        Self { columns: columns.into_iter().map(Into::into).collect(), rows: Vec::new() }
+    pub fn new(columns: impl IntoIterator<Item = Column>) -> Self {
+        Self { columns: columns.into_iter().collect(), ..Self::default() }
     }
 
-    /// Adds a row. `None` leaves a cell empty; cells beyond the columns are not drawn.
+    /// Adds a line of text above the grid. A line that is wider than the grid is wrapped.
+    pub fn add_heading(&mut self, line: impl Into<String>) {
+        self.heading.push(line.into());
+    }
+
+    /// Adds a row. `None` is an empty cell; cells beyond the columns are not drawn. Images are drawn at their size.
     pub fn push(&mut self, name: impl Into<String>, cells: Vec<Option<DisplayImage>>) {
         self.rows.push((name.into(), cells));
     }
 
-    /// Draws the sheet, with each image fitted to a square cell of `side` pixels (at least 16).
+    /// The columns that have an image in some row. Only these are drawn.
+    pub fn columns(&self) -> Vec<&Column> {
+        self.drawn().map(|c| &self.columns[c]).collect()
+    }
+
+    /// Indices of the columns that have an image in some row.
+    fn drawn(&self) -> impl Iterator<Item = usize> {
+        (0..self.columns.len()).filter(|c| self.column(*c).next().is_some())
+    }
+
+    /// The images of a column.
+    fn column(&self, c: usize) -> impl Iterator<Item = &DisplayImage> {
+        self.rows.iter().filter_map(move |(_, cells)| cells.get(c)?.as_ref())
+    }
+
+    /// Draws the sheet into the bytes of an image file.
     ///
     /// # Errors
-    /// The error of the PNG encoder.
-    pub fn to_png(&self, side: u32) -> Result<Vec<u8>, image::ImageError> {
+    /// The error of the encoder, e.g. for a side of more than 65,535 pixels in a JPEG.
+    pub fn encode(&self, format: SheetFormat) -> Result<Vec<u8>, image::ImageError> {
         let mut out = Cursor::new(Vec::new());
-        self.draw(side.max(16)).write_to(&mut out, ImageFormat::Png)?;
+        let drawn = self.draw();
+        match format {
+            SheetFormat::Png => drawn.write_to(&mut out, ImageFormat::Png)?,
+            SheetFormat::Jpeg => {
+                drawn.write_with_encoder(JpegEncoder::new_with_quality(&mut out, JPEG_QUALITY))?;
+            }
+        }
         Ok(out.into_inner())
     }
 
-    fn draw(&self, side: u32) -> RgbImage {
-        let label = LETTERS.val() as u32 + 2 * GAP;
-        let cell = side + GAP;
-        let width = GAP + cell * self.columns.len() as u32;
-        let height = label + (label + cell) * self.rows.len() as u32;
-        let mut sheet = RgbImage::from_pixel(width.max(1), height, Rgb(PAPER));
-        let column_x = |c: usize| GAP + cell * c as u32;
-        for (c, name) in self.columns.iter().enumerate() {
-            write(&mut sheet, (column_x(c), GAP), side, name);
+    fn draw(&self) -> RgbImage {
+        let columns: Vec<(u32, usize)> = self.column_positions();
+        let right = columns.last().map_or(0, |(left, c)| left + self.column_width(*c));
+        let width = (right + GAP).max(2 * GAP + width_of("contact sheet"));
+        let heading: Vec<String> =
+            self.heading.iter().flat_map(|line| wrapped(line, width - 2 * GAP)).collect();
+        let labels = 1 + u32::from(self.drawn().any(|c| !self.columns[c].detail.is_empty()));
+        let first_row = GAP + LINE * (heading.len() as u32 + labels) + GAP * u32::from(!heading.is_empty());
+        let height = first_row + self.rows.iter().map(|(_, cells)| row_height(cells)).sum::<u32>();
+        let mut sheet = RgbImage::from_pixel(width, height, Rgb(PAPER));
+        for (i, line) in heading.iter().enumerate() {
+            write(&mut sheet, (GAP, GAP + LINE * i as u32), line);
         }
-        for (r, (name, cells)) in self.rows.iter().enumerate() {
-            let top = label + (label + cell) * r as u32;
-            write(&mut sheet, (GAP, top + GAP), width - GAP, name);
-            for (c, picture) in cells.iter().enumerate().take(self.columns.len()) {
-                let Some(picture) = picture else { continue };
-                paste(&mut sheet, (column_x(c), top + label), &fitted(picture, side));
+        for (left, c) in &columns {
+            let Column { title, detail } = &self.columns[*c];
+            write(&mut sheet, (*left, first_row - LINE * labels), title);
+            if !detail.is_empty() {
+                write(&mut sheet, (*left, first_row - LINE), detail);
             }
+        }
+        let mut top = first_row;
+        for (name, cells) in &self.rows {
+            write(&mut sheet, (GAP, top + GAP / 2), name);
+            for (left, c) in &columns {
+                let Some(picture) = cells.get(*c).and_then(Option::as_ref) else { continue };
+                paste(&mut sheet, (*left, top + GAP / 2 + LINE), picture);
+            }
+            top += row_height(cells);
         }
         sheet
     }
+
+    /// The left edge and the index of each drawn column.
+    fn column_positions(&self) -> Vec<(u32, usize)> {
+        let mut left = GAP;
+        let place = |c: usize| {
+            let here = left;
+            left += self.column_width(c) + GAP;
+            (here, c)
+        };
+        self.drawn().map(place).collect()
+    }
+
+    /// The width of a column: of its widest image or of its label, so that no label is cut off.
+    fn column_width(&self, c: usize) -> u32 {
+        let Column { title, detail } = &self.columns[c];
+        let images = self.column(c).map(|picture| picture.width);
+        images.chain([width_of(title), width_of(detail)]).max().unwrap_or(0)
+    }
 }
 
-/// The image resized to `side` pixels on its longer side.
-fn fitted(picture: &DisplayImage, side: u32) -> DisplayImage {
-    let longest = picture.width.max(picture.height).max(1);
-    let scaled = |n: u32| ((u64::from(n) * u64::from(side) / u64::from(longest)) as u32).max(1);
-    picture.resized(scaled(picture.width), scaled(picture.height))
+/// The height of a row with its label, pixels.
+fn row_height(cells: &[Option<DisplayImage>]) -> u32 {
+    let tallest = cells.iter().flatten().map(|picture| picture.height).max().unwrap_or(0);
+    LINE + tallest + 2 * GAP
 }
 
 fn paste(sheet: &mut RgbImage, (left, top): (u32, u32), picture: &DisplayImage) {
@@ -81,80 +159,52 @@ fn paste(sheet: &mut RgbImage, (left, top): (u32, u32), picture: &DisplayImage) 
     }
 }
 
-/// Draws text from its top left corner, cut off at `room` pixels or the sheet's edge. Characters that the font lacks
-/// are drawn as question marks.
-fn write(sheet: &mut RgbImage, (left, top): (u32, u32), room: u32, text: &str) {
-    let advance = get_raster_width(WEIGHT, LETTERS);
-    let glyph = |c| get_raster(c, WEIGHT, LETTERS).or_else(|| get_raster('?', WEIGHT, LETTERS));
-    let glyphs = text.chars().take(room as usize / advance).filter_map(glyph);
-    for (i, glyph) in glyphs.enumerate() {
-        for (p, coverage) in glyph.pixels().iter().enumerate() {
-            let (x, y) = (i * advance + p % glyph.width(), p / glyph.width());
-            if let Some(pixel) = sheet.get_pixel_mut_checked(left + x as u32, top + y as u32) {
-                let blend = |k: usize| u32::from(INK[k] - PAPER[k]) * u32::from(*coverage) / 255;
-                *pixel = Rgb([0, 1, 2].map(|k| PAPER[k] + blend(k) as u8));
-            }
-        }
-    }
-}
-
-/// A one-channel layer as a grey image.
-pub fn grey(width: u32, height: u32, values: impl IntoIterator<Item = f32>) -> DisplayImage {
-    Plane { width, height, values: values.into_iter().map(|v| [v; 3]).collect() }
-}
-
-/// The difference of two images of the same size: from black for equal pixels through red and yellow to white at a
-/// mean channel difference of 0.25.
-pub fn error_map(a: &DisplayImage, b: &DisplayImage) -> DisplayImage {
-    let heat = |(p, q): (&[f32; 3], &[f32; 3])| {
-        let difference: f32 = p.iter().zip(q).map(|(x, y)| (x - y).abs()).sum::<f32>() / 3.0;
-        let t = (difference / 0.25).min(1.0) * 3.0;
-        [t.min(1.0), (t - 1.0).clamp(0.0, 1.0), (t - 2.0).clamp(0.0, 1.0)]
-    };
-    Plane { width: a.width, height: a.height, values: a.values.iter().zip(&b.values).map(heat).collect() }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use relume_scene::Plane;
 
     fn flat(width: u32, height: u32, colour: [f32; 3]) -> DisplayImage {
         Plane { width, height, values: vec![colour; (width * height) as usize] }
     }
 
+    fn sheet(cells: [Option<DisplayImage>; 3]) -> Sheet {
+        let mut sheet = Sheet::new(["one", "two", "three"].map(|title| Column::new(title, "")));
+        sheet.push("view", cells.into());
+        sheet
+    }
+
     #[test]
-    fn images_are_drawn_in_their_cells_and_empty_cells_stay_blank() {
-        let mut sheet = Sheet::new(["left", "right"]);
-        sheet.push("view", vec![None, Some(flat(8, 4, [1.0, 0.0, 0.0]))]);
-        let drawn = sheet.draw(32);
-        let red = Rgb([255, 0, 0]);
+    fn images_are_drawn_at_their_size_and_empty_columns_left_out() {
+        let red = flat(80, 30, [1.0, 0.0, 0.0]);
+        let sheet = sheet([Some(flat(70, 20, [0.0; 3])), None, Some(red)]);
+        assert_eq!(sheet.columns().iter().map(|c| c.title.as_str()).collect::<Vec<_>>(), ["one", "three"]);
+        let drawn = sheet.draw();
+        assert_eq!(drawn.width(), GAP + 70 + GAP + 80 + GAP);
+        let is_red = |p: &Rgb<u8>| *p == Rgb([255, 0, 0]);
         let columns: Vec<u32> =
-            drawn.enumerate_pixels().filter(|(_, _, p)| **p == red).map(|(x, _, _)| x).collect();
-        assert_eq!(columns.len(), 32 * 16, "an 8x4 picture fills half of a square cell");
-        assert_eq!(columns.iter().min(), Some(&(GAP + 32 + GAP)));
-        let png = image::load_from_memory(&sheet.to_png(32).unwrap()).unwrap().into_rgb8();
+            drawn.enumerate_pixels().filter(|(_, _, p)| is_red(p)).map(|(x, _, _)| x).collect();
+        assert_eq!((columns.len(), columns.iter().min()), (80 * 30, Some(&(GAP + 70 + GAP))));
+        let png = image::load_from_memory(&sheet.encode(SheetFormat::Png).unwrap()).unwrap().into_rgb8();
         assert_eq!(png, drawn);
+        let jpeg = sheet.encode(SheetFormat::Jpeg).unwrap();
+        assert_eq!(image::guess_format(&jpeg).unwrap(), ImageFormat::Jpeg);
     }
 
     #[test]
-    fn text_is_cut_to_its_width_and_unknown_characters_replaced() {
-        let drawn = |room: u32, text: &str| {
-            let mut sheet = RgbImage::from_pixel(60, 16, Rgb(PAPER));
-            write(&mut sheet, (0, 0), room, text);
-            sheet
-        };
-        let advance = get_raster_width(WEIGHT, LETTERS) as u32;
-        let cut = drawn(2 * advance + 1, "MMMMMM");
-        assert_eq!(cut, drawn(60, "MM"));
-        assert_ne!(cut, drawn(60, "MMM"), "the control");
-        assert_eq!(drawn(60, "\u{4e00}"), drawn(60, "?"));
-        assert_ne!(drawn(60, "?"), drawn(60, " "), "the control");
+    fn columns_are_as_wide_as_their_labels() {
+        let label = "a label that is wider than its image";
+        let mut sheet = Sheet::new([Column::new("one", label), Column::new("two", "")]);
+        sheet.push("view", vec![Some(flat(16, 16, [1.0; 3])), Some(flat(16, 16, [1.0; 3]))]);
+        assert_eq!(sheet.column_positions()[1].0, GAP + width_of(label) + GAP);
+        let before = sheet.draw().height();
+        sheet.add_heading("word ".repeat(40));
+        assert!(sheet.draw().height() > before + 2 * LINE, "the heading is wrapped");
     }
 
     #[test]
-    fn error_map_is_black_for_equal_and_white_for_opposite_images() {
-        let (black, white) = (flat(2, 1, [0.0; 3]), flat(2, 1, [1.0; 3]));
-        assert_eq!(error_map(&black, &black).values, vec![[0.0; 3]; 2]);
-        assert_eq!(error_map(&black, &white).values, vec![[1.0; 3]; 2]);
+    fn a_sheet_without_rows_or_columns_is_still_an_image() {
+        assert!(Sheet::default().encode(SheetFormat::Png).is_ok());
+        assert!(sheet([None, None, None]).encode(SheetFormat::Png).is_ok());
     }
 }

@@ -112,7 +112,11 @@ pub fn photograph(image: &ImageRgba) -> DisplayImage {
 /// The part of a photograph that `model` represents, on white: for a model with a crop, the part that its `alpha`
 /// covers.
 pub(crate) fn shown_by(model: &Model, view: &CaptureView, alpha: &[f32]) -> DisplayImage {
-    let photograph = photograph(&view.image.decoded());
+    shown_part(model, photograph(&view.image.decoded()), alpha)
+}
+
+/// The part of a photograph on white that `model` represents, as [`shown_by`]. `alpha` has the size of the photograph.
+pub(crate) fn shown_part(model: &Model, photograph: DisplayImage, alpha: &[f32]) -> DisplayImage {
     if is_cropped(model) { covered(photograph, alpha) } else { photograph }
 }
 

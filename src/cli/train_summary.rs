@@ -1,0 +1,154 @@
+//! The end of `relume train`: scores of the model in three lines, and its contact sheet. A failure here is a warning: the
+//! model is written already.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::cli::error::CommandResult;
+use crate::cli::progress::ProgressReporter;
+use crate::cli::sheet::write_sheet;
+use relume_capture::{Capture, CaptureView, ImportLimits, Up};
+use relume_engine::Device;
+use relume_scene::Model;
+use relume_spec::training::TrainConfig;
+use relume_train::eval::{
+    CaptureFacts, EvalError, EvalOptions, Lpips, Report, SheetRows, contact_sheet, evaluate, evenly_spaced,
+};
+
+/// Greatest number of compared views, as in the evaluation of a job.
+const MAX_VIEWS: usize = 8;
+
+/// The parts of a capture that are needed after the training: at most eight photographs.
+pub(super) struct TrainedCapture {
+    facts: CaptureFacts,
+    /// The compared views: held-out ones in `test`, or else training views in `train`.
+    compared: Capture,
+    path: PathBuf,
+    up: Up,
+}
+
+/// Files for the end of a training.
+#[derive(Clone, Copy)]
+pub(super) struct SummaryFiles<'a> {
+    /// The contact sheet to write, if any.
+    pub(super) sheet: Option<&'a Path>,
+    /// Weights of LPIPS, if it is to be measured.
+    pub(super) lpips: Option<&'a Path>,
+    /// The model, which the sheet names.
+    pub(super) model: &'a Path,
+}
+
+impl TrainedCapture {
+    /// Keeps the parts of `capture`, which was imported from `path` for a training with `config`. The pixels of the kept views are
+    /// shared.
+    pub(super) fn of(capture: &Capture, path: &Path, config: &TrainConfig) -> Self {
+        let kept = |views: &[CaptureView]| -> Vec<CaptureView> {
+            let as_trained = |view: &CaptureView| CaptureView {
+                light_rotation_deg: if config.light_rotations { view.light_rotation_deg } else { 0.0 },
+                ..view.clone()
+            };
+            evenly_spaced(views, Some(MAX_VIEWS)).into_iter().map(as_trained).collect()
+        };
+        let (train, test) = match capture.test.is_empty() {
+            true => (kept(&capture.train), Vec::new()),
+            false => (Vec::new(), kept(&capture.test)),
+        };
+        let compared = Capture {
+            layout: capture.layout.clone(),
+            train,
+            test,
+            points: Vec::new(),
+            bounds: capture.bounds,
+            up: capture.up.clone(),
+            has_alpha: capture.has_alpha,
+            lights: capture.lights.clone(),
+            measured_light: None,
+            grey_card: None,
+            warnings: Vec::new(),
+        };
+        Self {
+            facts: CaptureFacts::of(capture),
+            compared,
+            path: path.to_owned(),
+            up: Up::direction(capture.up.direction).unwrap_or_default(),
+        }
+    }
+
+    /// Compares `model` with the photographs, writes the sheet, and returns three lines for the user. Reports what fails as
+    /// warnings; without a comparison there are no lines.
+    pub(super) fn summarise(
+        mut self,
+        model: &Arc<Model>,
+        device: &Device,
+        files: SummaryFiles<'_>,
+        progress: &ProgressReporter,
+    ) -> Vec<String> {
+        let report = match self.compare(model, device, files.lpips, progress) {
+            Ok(report) => report,
+            Err(error) => {
+                progress.warning(&format!("the model was not compared with photographs: {error}"));
+                return Vec::new();
+            }
+        };
+        let lines = self.facts.summary(&report, &model.card);
+        if let Some(file) = files.sheet {
+            match self.draw(model, device, (&report, &lines), files.model, file, progress) {
+                Ok(()) => progress.status(&format!("wrote the contact sheet {}", file.display())),
+                Err(error) => progress.warning(&format!("no contact sheet: {error}")),
+            }
+        }
+        lines
+    }
+
+    fn compare(
+        &mut self,
+        model: &Arc<Model>,
+        device: &Device,
+        lpips: Option<&Path>,
+        progress: &ProgressReporter,
+    ) -> Result<Report, EvalError> {
+        let lpips = lpips.and_then(|file| match Lpips::read(file) {
+            Ok(lpips) => Some(lpips),
+            Err(error) => {
+                progress.warning(&format!("LPIPS is not measured: {error}"));
+                None
+            }
+        });
+        let options = EvalOptions {
+            lpips: lpips.as_ref(),
+            frame_rate_time: Duration::ZERO,
+            device,
+            ..EvalOptions::default()
+        };
+        let is_held_out = !self.compared.test.is_empty();
+        let swap = |capture: &mut Capture| {
+            if !is_held_out {
+                std::mem::swap(&mut capture.train, &mut capture.test);
+            }
+        };
+        swap(&mut self.compared);
+        let report = evaluate(model.clone(), &self.compared, &options);
+        swap(&mut self.compared);
+        report
+    }
+
+    fn draw(
+        &self,
+        model: &Arc<Model>,
+        device: &Device,
+        (report, lines): (&Report, &[String]),
+        model_file: &Path,
+        file: &Path,
+        progress: &ProgressReporter,
+    ) -> CommandResult {
+        let mut rows = SheetRows::choose(&self.compared, Some(report));
+        if let Err(error) = rows.read_again(&self.path, self.up, &ImportLimits::default()) {
+            progress.warning(&format!("the contact sheet shows photographs as small as trained: {error}"));
+        }
+        let mut sheet = contact_sheet(model.clone(), &rows, EvalOptions::TIER, device)?;
+        sheet.add_heading(format!("{}: {} Gaussians", model_file.display(), model.gaussians.len()));
+        lines.iter().for_each(|line| sheet.add_heading(line));
+        write_sheet(file, &sheet)
+    }
+}
