@@ -80,8 +80,7 @@ pub struct ShadingOptions {
     /// Form of the diffuse term.
     pub diffuse: DiffuseForm,
     /// True: the diffuse term receives only the light that the highlight leaves, so that no surface reflects more than what arrives.
-    // Models of older files have the whole light.
-    #[serde(default)]
+    /// Trainings that conserve energy recover albedo and light less well (docs/decisions/0044-energy-of-the-diffuse-term.md).
     pub conserves_energy: bool,
     /// Place of shading.
     // Files of version 2 had the diffuse term at the Gaussians alone, under this name.
@@ -131,7 +130,7 @@ impl Default for ShadingOptions {
         Self {
             visibility: VisibilityForm::default(),
             diffuse: DiffuseForm::default(),
-            conserves_energy: true,
+            conserves_energy: false,
             shade_at: ShadeAt::default(),
             normal: NormalForm::default(),
             indirect: IndirectForm::default(),

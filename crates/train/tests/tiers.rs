@@ -204,8 +204,12 @@ fn sheen_brightens_sun_and_sky_light_equally() {
 
 #[test]
 fn unoccluded_white_surface_is_white_in_a_white_furnace() {
+    let conserving = |model: Arc<Model>| {
+        let shading = ShadingOptions { conserves_energy: true, ..model.shading };
+        Renderer::new(Arc::new(Model { shading, ..Model::clone(&model) }))
+    };
     let disc = model(&[(DVec3::ZERO, DVec3::Z, 1.5)], 1.0, 0.0);
-    let renderer = Renderer::new(disc);
+    let renderer = conserving(disc.clone());
     let white = EnvMap::constant(32, 16, [1.0; 3]);
     let above = Camera::look_at(DVec3::Z * 3.0, DVec3::ZERO, DVec3::Y, 0.7, (24, 24)).unwrap();
     let mean = |renderer: &Renderer, map: &EnvMap, output: Output| {
@@ -215,6 +219,8 @@ fn unoccluded_white_surface_is_white_in_a_white_furnace() {
     };
     let shown = mean(&renderer, &white, Output::Rgb);
     assert!((shown - 1.0).abs() < 1e-2, "{shown}");
+    let uncoupled = mean(&Renderer::new(disc), &white, Output::Rgb);
+    assert!(uncoupled > 1.015, "the control: {uncoupled}");
     let twice = mean(&renderer, &EnvMap::constant(32, 16, [2.0; 3]), Output::Rgb);
     assert!((twice / shown - 2.0).abs() < 1e-2, "{twice}");
     // Under a constant light the split sum is exact except for its table: both tiers show the same highlight.
@@ -227,8 +233,8 @@ fn unoccluded_white_surface_is_white_in_a_white_furnace() {
     assert!((sampled / tabled - 1.0).abs() < 0.03, "sampled {sampled}, from the table {tabled}");
     // Negative control: a ball of discs hardly occludes itself; a floor under a plate is occluded
     // considerably.
-    let open = mean(&Renderer::new(ball()), &white, Output::Rgb);
-    let hidden = mean(&Renderer::new(table()), &white, Output::Rgb) / 0.6;
+    let open = mean(&conserving(ball()), &white, Output::Rgb);
+    let hidden = mean(&conserving(table()), &white, Output::Rgb) / 0.6;
     assert!(open > 0.98 && open < 1.01, "{open}");
     assert!(hidden < 0.97, "{hidden}");
 }

@@ -166,6 +166,8 @@ fn listing_form_gradients_agree_with_differences() {
 #[test]
 fn default_form_gradients_agree_with_differences() {
     gradients_hold("default", &model(ShadingOptions::default()), &["ind_sh"]);
+    let conserving = ShadingOptions { conserves_energy: true, ..ShadingOptions::default() };
+    gradients_hold("conserving", &model(conserving), &["ind_sh"]);
 }
 
 #[test]
@@ -183,7 +185,6 @@ fn article_form_gradients_agree_with_differences() {
         indirect: IndirectForm::Learned,
         low_pass_compensation: true,
         srgb: false,
-        conserves_energy: false,
         ..ShadingOptions::default()
     };
     gradients_hold("article", &model(shading), &["sheen"]);

@@ -215,6 +215,14 @@ fn cpu_engine_matches_the_reference_with_ambient_occlusion() {
 }
 
 #[test]
+fn cpu_engine_matches_the_reference_if_it_conserves_energy() {
+    for shade_at in [ShadeAt::Gaussian, ShadeAt::Pixel] {
+        let shading = ShadingOptions { shade_at, conserves_energy: true, ..ShadingOptions::default() };
+        engines_agree(&format!("conserving {shade_at:?}"), shading);
+    }
+}
+
+#[test]
 fn cpu_engine_matches_the_reference_in_the_article_form() {
     let shading = ShadingOptions {
         visibility: VisibilityForm::Sigmoid,
@@ -223,7 +231,6 @@ fn cpu_engine_matches_the_reference_in_the_article_form() {
         normal: NormalForm::Free,
         low_pass_compensation: true,
         srgb: false,
-        conserves_energy: false,
         ..ShadingOptions::default()
     };
     engines_agree("article", shading);

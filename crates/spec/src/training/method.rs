@@ -58,24 +58,21 @@ impl Method {
                 "lights": 0
             }),
             Self::GaussianShader => json!({
-                "shading": {"visibility": "off", "indirect": "off", "conserves_energy": false},
+                "shading": {"visibility": "off", "indirect": "off"},
                 "labels": "none", "bounces": 0, "prototypes": 1, "lights": 0, "sheen": false
             }),
             Self::GsIr => json!({
-                "shading": {
-                    "diffuse": "ambient_occlusion", "indirect": "off", "shade_at": "pixel", "conserves_energy": false
-                },
+                "shading": {"diffuse": "ambient_occlusion", "indirect": "off", "shade_at": "pixel"},
                 "labels": "probes", "bounces": 0, "prototypes": 1, "lights": 0, "sheen": false
             }),
             // Probes alone would leave learned indirect light at its first value.
             Self::R3dg => json!({
-                "shading": {"diffuse": "directional", "indirect": "learned", "conserves_energy": false},
+                "shading": {"diffuse": "directional", "indirect": "learned"},
                 "labels": "both", "bounces": 0, "prototypes": 1, "lights": 0, "sheen": false
             }),
             Self::Article => json!({
                 "shading": {
-                    "visibility": "sigmoid", "diffuse": "ambient_occlusion", "indirect": "learned", "shade_at": "pixel",
-                    "conserves_energy": false
+                    "visibility": "sigmoid", "diffuse": "ambient_occlusion", "indirect": "learned", "shade_at": "pixel"
                 },
                 "labels": "backward", "bounces": 0, "lights": 0, "sheen": false
             }),

@@ -12,8 +12,8 @@ changes! {
         /// Form of the diffuse term: `directional` or `ambient_occlusion`.
         diffuse: DiffuseForm = "directional";
         /// Whether the diffuse term receives only the light that the highlight leaves, so that no surface reflects more than what
-        /// arrives.
-        conserves_energy: bool = true;
+        /// arrives. Trainings recover albedo and light less well with it.
+        conserves_energy: bool = false;
         /// Where surfaces are shaded: `gaussian` or `pixel`.
         #[serde(alias = "diffuse_at")]
         shade_at: ShadeAt = "gaussian";

@@ -63,7 +63,9 @@ pub fn decode(bytes: &[u8]) -> Result<ImportedModel, PlyError> {
     if !notes.is_empty() {
         model.card["imported"]["notes"] = json!(notes);
     }
-    // Files of other programs are classic unless they state otherwise; Relume trains with compensation.
+    // Files of other programs have materials for renderers that conserve energy, and are classic, unless they state otherwise; Relume
+    // trains with compensation.
+    model.shading.conserves_energy = true;
     model.shading.low_pass_compensation = stated_compensation(&table.comments).unwrap_or(lit);
     read_metadata(&table, &mut model)?;
     if columns.material.as_ref().is_none_or(|m| m.visibility.is_empty()) {

@@ -65,6 +65,7 @@ fn own_files_are_read_back_with_or_without_comments() {
     let bare = imported(&without_comments(&bytes));
     assert!(same(&model, &bare) && bare.has_materials());
     assert_eq!(bare.shading.occluder_reach, None, "the control: only a comment states it");
+    assert!(bare.shading.conserves_energy && !model.shading.conserves_energy);
     let mut other = model.clone();
     other.gaussians.row_mut(Field::RoughLogit, 0)[0] = 0.1;
     assert!(!same(&other, &back), "the control");
