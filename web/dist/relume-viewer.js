@@ -1,1 +1,1 @@
-export{t as RelumeViewer}from"./assets/element-CXk7gg1H.js";
+export{t as RelumeViewer}from"./assets/element-CchShzkn.js";
