@@ -115,7 +115,7 @@ impl CaptureFacts {
         if !coverage.is_around {
             return gaps;
         }
-        let above = coverage.from_above();
+        let above = coverage.views_from_above();
         if (above as f64) < FEW_FROM_ABOVE * all as f64 {
             gaps.push(format!(
                 "few photographs from above ({above} of {all} from {ABOVE_DEG:.0} degrees or higher)"
