@@ -70,6 +70,11 @@ impl Sheet {
         self.drawn().map(|c| &self.columns[c]).collect()
     }
 
+    /// The labels of the rows.
+    pub fn row_names(&self) -> impl Iterator<Item = &str> {
+        self.rows.iter().map(|(name, _)| name.as_str())
+    }
+
     /// Indices of the columns that have an image in some row.
     fn drawn(&self) -> impl Iterator<Item = usize> {
         (0..self.columns.len()).filter(|c| self.column(*c).next().is_some())
