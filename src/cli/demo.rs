@@ -274,7 +274,7 @@ fn summary(report: &Report, out: &Path, took: Duration) {
     report.summary.iter().for_each(|line| println!("{line}"));
     println!();
     for (file, what) in [
-        ("contact_sheet.png", "photographs, renders and layers next to the ground truth"),
+        ("contact_sheet.png", "photographs, renders and layers above the ground truth"),
         ("relit_*.png", "a view under each light, from the server"),
         ("report.md", "all figures and how they were measured"),
         ("report.json", "the report as JSON"),

@@ -29,8 +29,8 @@ pub struct EvalArgs {
     /// Write the report as Markdown to this file. The report is also printed.
     #[arg(long, value_name = "FILE")]
     pub markdown: Option<PathBuf>,
-    /// Write a contact sheet to this file, `.png` or `.jpg`: photographs, renders, relit pictures, all layers and the error, each
-    /// next to its ground truth if the capture has it.
+    /// Write a contact sheet to this file, `.png` or `.jpg`: photographs, renders, relit pictures, all layers and the error,
+    /// above their ground truth if the capture has it.
     #[arg(long, value_name = "FILE")]
     pub sheet: Option<PathBuf>,
     /// LPIPS v0.1 AlexNet weights (safetensors). Without them, LPIPS is omitted and the report states this.

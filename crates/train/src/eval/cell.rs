@@ -4,7 +4,7 @@ use crate::eval::image::DisplayImage;
 use relume_scene::Plane;
 
 /// Longer side of a cell, pixels. At 320 pixels needles, floaters and shadows in the albedo are visible without
-/// enlarging the sheet, and the nine columns of a capture without ground truth are 3,000 pixels wide.
+/// enlarging the sheet, and its nine columns are 3,000 pixels wide.
 pub const CELL: u32 = 320;
 
 /// The size of the cell of a view of `width` x `height` pixels: the same aspect, [`CELL`] pixels on the longer side.

@@ -23,8 +23,9 @@ const BUILTIN_LIGHTS: [&str; LIGHTS] = ["sunset", "studio"];
 const ERROR_WHITE: f32 = 0.25;
 
 /// Draws a sheet with a row for each view: photograph, novel view, error, two relit views, albedo, normals, roughness
-/// and ambient occlusion, each next to its ground truth if the capture has it. The lights are those of the ground truth, then
-/// built-in ones. Columns without data are left out: a model without materials shows its radiance branch.
+/// and ambient occlusion. A second row below has the ground truth if the view has it. The lights are those of the
+/// ground truth, then built-in ones. Columns without data are left out: a model without materials shows its radiance
+/// branch.
 ///
 /// The model is rendered at the size of a cell, so that its pictures are never enlarged.
 ///
@@ -50,7 +51,11 @@ pub fn contact_sheet(
     for (label, view) in &rows.rows {
         check_sizes(view)?;
         let light = light_of(&renderer, view, &mut own)?;
-        sheet.push(label, painter.cells(view, light)?);
+        let [own, truth] = painter.cells(view, light)?;
+        sheet.push(label, own);
+        if truth.iter().any(Option::is_some) {
+            sheet.push(format!("{}, ground truth", view.name), truth);
+        }
     }
     Ok(sheet)
 }
@@ -77,6 +82,9 @@ fn chosen_lights(rows: &SheetRows) -> Vec<(String, EnvMap)> {
     lights
 }
 
+/// The pictures of a row, by column.
+type Cells = Vec<Option<DisplayImage>>;
+
 /// Draws the rows of a sheet for one model.
 struct RowPainter<'a> {
     renderer: &'a Renderer,
@@ -100,21 +108,15 @@ impl RowPainter<'_> {
             Column::new("novel view", branch),
             Column::new("error", scale),
         ];
-        for (name, _) in &self.lights {
-            columns.extend([Column::new("relit", name), Column::new("relit, truth", name)]);
-        }
-        for title in ["albedo", "normals", "roughness", "ambient occlusion"] {
-            columns.extend([Column::new(title, ""), Column::new(format!("{title}, truth"), "")]);
-        }
+        columns.extend(self.lights.iter().map(|(name, _)| Column::new("relit", name)));
+        let layers = ["albedo", "normals", "roughness", "ambient occlusion"];
+        columns.extend(layers.map(|title| Column::new(title, "")));
         columns
     }
 
-    /// The pictures of a view, all of the same size.
-    fn cells(
-        &self,
-        view: &CaptureView,
-        light: &PreparedLight,
-    ) -> Result<Vec<Option<DisplayImage>>, EvalError> {
+    /// The pictures of a view and its ground truth, all of the same size. The photograph is above the empty cells of the
+    /// ground truth.
+    fn cells(&self, view: &CaptureView, light: &PreparedLight) -> Result<[Cells; 2], EvalError> {
         let (width, height) = cell_size((view.image.width, view.image.height));
         let camera = view.camera.resized(width, height);
         let failed = |source| refused(view, source);
@@ -123,14 +125,16 @@ impl RowPainter<'_> {
         let novel = if has_materials { &layers.shaded } else { &layers.radiance };
         let taken = photograph(&view.image.decoded());
         let error = self.error(&taken, novel, &layers.alpha);
-        let mut cells = vec![Some(taken), Some(novel.clone()), Some(error)];
+        let mut cells = vec![(Some(taken), None), (Some(novel.clone()), None), (Some(error), None)];
         for (name, light) in &self.lights {
             let picture = relit(self.renderer, &camera, light, self.quality).map_err(failed)?;
-            cells.extend([Some(picture), view.truth.relit.get(name).map(photograph)]);
+            cells.push((Some(picture), view.truth.relit.get(name).map(photograph)));
         }
         cells.extend(layer_cells(self.renderer.model(), &layers, view));
         let fitted = |picture: DisplayImage| at_cell_size(&picture, (width, height));
-        Ok(cells.into_iter().map(|cell| cell.map(fitted)).collect())
+        let pairs = cells.into_iter().map(|(own, truth)| (own.map(fitted), truth.map(fitted)));
+        let (own, truth) = pairs.unzip();
+        Ok([own, truth])
     }
 
     /// The difference of the novel view from the photograph, at the smaller of both sizes, so that detail that the
@@ -145,9 +149,13 @@ impl RowPainter<'_> {
     }
 }
 
-/// Albedo, normals, roughness and ambient occlusion, each before its ground truth. Without materials only the normals
+/// Albedo, normals, roughness and ambient occlusion, each with its ground truth. Without materials only the normals
 /// exist, and without a visibility field no ambient occlusion.
-fn layer_cells(model: &Model, layers: &ViewLayers, view: &CaptureView) -> [Option<DisplayImage>; 8] {
+fn layer_cells(
+    model: &Model,
+    layers: &ViewLayers,
+    view: &CaptureView,
+) -> [(Option<DisplayImage>, Option<DisplayImage>); 4] {
     let (width, height) = (layers.shaded.width, layers.shaded.height);
     let picture = |values: Vec<[f32; 3]>| on_white(&Plane { width, height, values }, &layers.alpha);
     let one = |values: &[f32]| on_white(&grey(width, height, values.iter().copied()), &layers.alpha);
@@ -155,16 +163,14 @@ fn layer_cells(model: &Model, layers: &ViewLayers, view: &CaptureView) -> [Optio
     let has_materials = model.has_materials();
     let has_visibility = has_materials && model.shading.visibility != VisibilityForm::Off;
     let pair = |exists: bool, own: &dyn Fn() -> DisplayImage, truth| {
-        if exists { [Some(own()), truth] } else { [None, None] }
+        if exists { (Some(own()), truth) } else { (None, None) }
     };
-    let pairs = [
+    [
         pair(has_materials, &|| picture(layers.albedo.iter().map(shown_colour).collect()), albedo),
         pair(true, &|| picture(layers.normal.iter().map(shown_normal).collect()), normal),
         pair(has_materials, &|| one(&layers.roughness), roughness),
         pair(has_visibility, &|| one(&layers.visibility), open),
-    ];
-    let mut cells = pairs.into_iter().flatten();
-    std::array::from_fn(|_| cells.next().flatten())
+    ]
 }
 
 /// A view's ground-truth albedo (sRGB curve), normal (`n / 2 + 1 / 2`), roughness and ambient occlusion, on white;
@@ -256,25 +262,21 @@ mod tests {
     }
 
     #[test]
-    fn sheet_without_ground_truth_has_no_truth_columns() {
-        let with = titles(&drawn(model(), &capture()));
-        let without = titles(&drawn(model(), &without_truth(capture())));
-        let truth = |titles: &[String]| titles.iter().filter(|title| title.contains("truth")).count();
-        assert_eq!((with.len(), truth(&with)), (15, 6), "the control: {with:?}");
-        assert_eq!(
-            without,
-            [
-                "photograph",
-                "novel view light of the photographs",
-                "error red 8, yellow 17, white 25 %",
-                "relit sunset",
-                "relit studio",
-                "albedo",
-                "normals",
-                "roughness",
-                "ambient occlusion"
-            ]
-        );
+    fn sheet_without_ground_truth_has_no_truth_rows() {
+        let with = drawn(model(), &capture());
+        let truth = |sheet: &Sheet| sheet.row_names().filter(|name| name.ends_with("ground truth")).count();
+        assert_eq!((truth(&with), with.row_names().count()), (2, 4), "the control");
+        let without = drawn(model(), &without_truth(capture()));
+        assert_eq!((truth(&without), without.row_names().count()), (0, 2));
+        let columns = |lights: [&str; 2]| {
+            let novel =
+                ["photograph", "novel view light of the photographs", "error red 8, yellow 17, white 25 %"];
+            let layers = ["albedo", "normals", "roughness", "ambient occlusion"].map(str::to_owned);
+            let lights = lights.map(|light| format!("relit {light}"));
+            [&novel.map(str::to_owned)[..], &lights, &layers].concat()
+        };
+        assert_eq!(titles(&with), columns(["dawn", "overcast"]));
+        assert_eq!(titles(&without), columns(["sunset", "studio"]));
     }
 
     #[test]

@@ -52,7 +52,7 @@ impl Coverage {
     }
 
     /// Number of training photographs from above.
-    pub(super) fn from_above(&self) -> usize {
+    pub(super) fn views_from_above(&self) -> usize {
         self.directions.iter().filter(|d| d.z.asin().to_degrees() >= ABOVE_DEG).count()
     }
 
@@ -114,13 +114,15 @@ mod tests {
     fn gaps_and_photographs_from_above_are_measured() {
         let ring = |to: u32| (0..to).map(|i| view(f64::from(i) * 30.0, 10.0, true)).collect::<Vec<_>>();
         let whole = coverage(ring(12), &[]);
-        assert!((whole.azimuth_gap_deg() - 30.0).abs() < 1e-6 && whole.from_above() == 0 && whole.is_around);
+        assert!(
+            (whole.azimuth_gap_deg() - 30.0).abs() < 1e-6 && whole.views_from_above() == 0 && whole.is_around
+        );
         let mut half = ring(7);
         half.push(view(270.0, 89.0, true));
         half.push(view(0.0, 45.0, true));
         let half = coverage(half, &[]);
         assert!((half.azimuth_gap_deg() - 180.0).abs() < 1e-6, "a camera straight above closes no gap");
-        assert_eq!(half.from_above(), 2);
+        assert_eq!(half.views_from_above(), 2);
         assert_eq!(coverage(Vec::new(), &[]).azimuth_gap_deg(), 360.0);
     }
 

@@ -10,6 +10,8 @@ use crate::eval::text::{LINE, PAPER, width_of, wrapped, write};
 
 /// Pixels between cells and at the edges.
 const GAP: u32 = 8;
+/// Least width of a sheet, pixels: enough for the names of rows.
+const MIN_WIDTH: u32 = 160;
 /// JPEG quality, 0 to 100: no block structure is visible that could be taken for an error of the model.
 const JPEG_QUALITY: u8 = 92;
 
@@ -68,6 +70,11 @@ impl Sheet {
         self.drawn().map(|c| &self.columns[c]).collect()
     }
 
+    /// The labels of the rows.
+    pub fn row_names(&self) -> impl Iterator<Item = &str> {
+        self.rows.iter().map(|(name, _)| name.as_str())
+    }
+
     /// Indices of the columns that have an image in some row.
     fn drawn(&self) -> impl Iterator<Item = usize> {
         (0..self.columns.len()).filter(|c| self.column(*c).next().is_some())
@@ -97,22 +104,18 @@ impl Sheet {
     fn draw(&self) -> RgbImage {
         let columns: Vec<(u32, usize)> = self.column_positions();
         let right = columns.last().map_or(0, |(left, c)| left + self.column_width(*c));
-        let width = (right + GAP).max(2 * GAP + width_of("contact sheet"));
+        let width = (right + GAP).max(MIN_WIDTH);
         let heading: Vec<String> =
             self.heading.iter().flat_map(|line| wrapped(line, width - 2 * GAP)).collect();
-        let labels = 1 + u32::from(self.drawn().any(|c| !self.columns[c].detail.is_empty()));
-        let first_row = GAP + LINE * (heading.len() as u32 + labels) + GAP * u32::from(!heading.is_empty());
+        let labels: Vec<Vec<String>> = columns.iter().map(|(_, c)| self.label(*c)).collect();
+        let label_lines = labels.iter().map(Vec::len).max().unwrap_or(0) as u32;
+        let labels_top = GAP + LINE * heading.len() as u32 + GAP * u32::from(!heading.is_empty());
+        let first_row = labels_top + LINE * label_lines;
         let height = first_row + self.rows.iter().map(|(_, cells)| row_height(cells)).sum::<u32>();
-        let mut sheet = RgbImage::from_pixel(width, height, Rgb(PAPER));
-        for (i, line) in heading.iter().enumerate() {
-            write(&mut sheet, (GAP, GAP + LINE * i as u32), line);
-        }
-        for (left, c) in &columns {
-            let Column { title, detail } = &self.columns[*c];
-            write(&mut sheet, (*left, first_row - LINE * labels), title);
-            if !detail.is_empty() {
-                write(&mut sheet, (*left, first_row - LINE), detail);
-            }
+        let mut sheet = RgbImage::from_pixel(width, height.max(1), Rgb(PAPER));
+        write_lines(&mut sheet, (GAP, GAP), &heading);
+        for ((left, _), label) in columns.iter().zip(&labels) {
+            write_lines(&mut sheet, (*left, labels_top), label);
         }
         let mut top = first_row;
         for (name, cells) in &self.rows {
@@ -137,11 +140,24 @@ impl Sheet {
         self.drawn().map(place).collect()
     }
 
-    /// The width of a column: of its widest image or of its label, so that no label is cut off.
+    /// The width of a column: of its widest image, or of the longest word of its label, so that no label is cut off.
     fn column_width(&self, c: usize) -> u32 {
         let Column { title, detail } = &self.columns[c];
-        let images = self.column(c).map(|picture| picture.width);
-        images.chain([width_of(title), width_of(detail)]).max().unwrap_or(0)
+        let words = title.split_whitespace().chain(detail.split_whitespace()).map(width_of);
+        self.column(c).map(|picture| picture.width).chain(words).max().unwrap_or(0)
+    }
+
+    /// The lines of a column's label.
+    fn label(&self, c: usize) -> Vec<String> {
+        let (Column { title, detail }, width) = (&self.columns[c], self.column_width(c));
+        [title, detail].into_iter().flat_map(|text| wrapped(text, width)).collect()
+    }
+}
+
+/// Writes lines of text below each other.
+fn write_lines(sheet: &mut RgbImage, (left, top): (u32, u32), lines: &[String]) {
+    for (i, line) in lines.iter().enumerate() {
+        write(sheet, (left, top + LINE * i as u32), line);
     }
 }
 
@@ -192,11 +208,11 @@ mod tests {
     }
 
     #[test]
-    fn columns_are_as_wide_as_their_labels() {
-        let label = "a label that is wider than its image";
-        let mut sheet = Sheet::new([Column::new("one", label), Column::new("two", "")]);
+    fn labels_are_wrapped_to_their_column_and_never_cut() {
+        let mut sheet = Sheet::new([Column::new("one", "longest of words"), Column::new("two", "")]);
         sheet.push("view", vec![Some(flat(16, 16, [1.0; 3])), Some(flat(16, 16, [1.0; 3]))]);
-        assert_eq!(sheet.column_positions()[1].0, GAP + width_of(label) + GAP);
+        assert_eq!(sheet.column_positions()[1].0, GAP + width_of("longest") + GAP);
+        assert_eq!(sheet.label(0), ["one", "longest", "of", "words"]);
         let before = sheet.draw().height();
         sheet.add_heading("word ".repeat(40));
         assert!(sheet.draw().height() > before + 2 * LINE, "the heading is wrapped");

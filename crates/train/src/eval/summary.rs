@@ -74,8 +74,8 @@ impl CaptureFacts {
             let direction = self.coverage.direction_of(view).filter(|_| self.coverage.is_around);
             if let Some((elevation, nearest)) = direction {
                 let side = if elevation < 0.0 { "below" } else { "above" };
-                text += &format!(", {:.0} degrees {side} the horizon", elevation.abs());
-                let angle = nearest.map(|a| format!(", {a:.0} degrees from the nearest training photograph"));
+                text += &format!(", {} {side} the horizon", degrees(elevation.abs()));
+                let angle = nearest.map(|a| format!(", {} from the nearest training photograph", degrees(a)));
                 text.extend(angle);
             }
             found.push(text);
@@ -115,7 +115,7 @@ impl CaptureFacts {
         if !coverage.is_around {
             return gaps;
         }
-        let above = coverage.from_above();
+        let above = coverage.views_from_above();
         if (above as f64) < FEW_FROM_ABOVE * all as f64 {
             gaps.push(format!(
                 "few photographs from above ({above} of {all} from {ABOVE_DEG:.0} degrees or higher)"
@@ -147,16 +147,18 @@ fn exposure_scatter(card: &Value) -> Option<String> {
     ))
 }
 
-/// The limits of the settings, if the training reached them.
+/// The limit of the settings on Gaussians, if the training reached it.
 fn capacity(card: &Value) -> Option<String> {
     let gaussians = card.get("gaussians")?.as_u64()?;
     let allowed = card.pointer("/config/max_gaussians")?.as_u64()?;
-    let resolution = card.pointer("/config/resolution")?.as_u64()?;
-    (gaussians as f64 >= ALL_GAUSSIANS * allowed as f64).then(|| {
-        format!(
-            "all {allowed} allowed Gaussians are used, at {resolution} px: a higher preset shows more detail"
-        )
-    })
+    (gaussians as f64 >= ALL_GAUSSIANS * allowed as f64)
+        .then(|| format!("all {allowed} allowed Gaussians are used: a higher preset has more"))
+}
+
+/// An angle without decimals.
+fn degrees(angle: f64) -> String {
+    let rounded = angle.round();
+    format!("{rounded:.0} {}", if rounded == 1.0 { "degree" } else { "degrees" })
 }
 
 fn some_of(names: &[String]) -> String {
@@ -206,6 +208,7 @@ mod tests {
             "held-out photographs (2 of 3): PSNR 25.0 dB (26.5 dB at the exposure of each photograph, +1.5), SSIM 0.800"
         );
         assert!(lines[1].starts_with("weakest: test_001/rgba.png, 19.5 dB, "), "{}", lines[1]);
+        assert_eq!([degrees(0.6), degrees(1.6)], ["1 degree", "2 degrees"]);
         assert!(lines[1].ends_with("degrees from the nearest training photograph"), "{}", lines[1]);
         assert!(lines[2].contains("exposure scatter 8 % and white balance scatter 2 %"), "{}", lines[2]);
         assert!(lines[2].contains("4 of 12 photographs blurred (a, b, c, ...)"), "{}", lines[2]);
@@ -216,9 +219,10 @@ mod tests {
     fn a_cause_is_stated_only_with_its_evidence() {
         let mut facts = facts(3);
         facts.faults.are_few = false;
-        let card = |gaussians: u64| json!({"gaussians": gaussians, "config": {"max_gaussians": 800, "resolution": 160}});
+        let card =
+            |gaussians: u64| json!({"gaussians": gaussians, "config": {"max_gaussians": 800, "seed": 0}});
         let causes = |facts: &CaptureFacts, gaussians| facts.summary(&report(), &card(gaussians))[2].clone();
-        assert!(causes(&facts, 799).contains("all 800 allowed Gaussians are used, at 160 px"));
+        assert!(causes(&facts, 799).contains("all 800 allowed Gaussians are used:"));
         assert_eq!(causes(&facts, 400), "causes: no fault of the photographs was found", "the control");
         facts.faults.are_few = true;
         assert_eq!(causes(&facts, 400), "causes: few photographs (12; 40 to 200 are better)");
