@@ -317,7 +317,8 @@ mod tests {
         let at = |version: u32, shade_at: &str| {
             let mut model = example();
             model.shading.shade_at = ShadeAt::Gaussian;
-            let text = header(&model).replace("\"version\":4", &format!("\"version\":{version}"));
+            let text =
+                header(&model).replace(&format!("\"version\":{VERSION}"), &format!("\"version\":{version}"));
             let text = text.replace("\"shade_at\":\"gaussian\",", shade_at);
             let metadata = HashMap::from([(HEADER_KEY.to_owned(), text)]);
             decode(&safetensors::serialize(tensors(&model), Some(metadata)).unwrap())
@@ -328,7 +329,7 @@ mod tests {
         assert_eq!(read(2, "\"diffuse_at\":\"pixel\","), ShadeAt::Pixel);
         assert_eq!(read(3, "\"shade_at\":\"pixel\","), ShadeAt::Pixel, "the control");
         assert_eq!(read(4, "\"shade_at\":\"pixel\","), ShadeAt::Pixel);
-        assert!(at(5, "").unwrap_err().to_string().contains("version"));
+        assert!(at(VERSION + 1, "").unwrap_err().to_string().contains("version"));
     }
 
     #[test]

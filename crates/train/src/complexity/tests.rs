@@ -193,6 +193,7 @@ fn discs(hidden: &[usize]) -> (TrainState, Photo) {
         g.row_mut(Field::LogScale, i).fill(0.1f32.ln());
         g.row_mut(Field::OpacityLogit, i).fill(3.0);
         g.row_mut(Field::Radiance, i).fill(0.0);
+        g.row_mut(Field::SamplingRate, i).fill(0.0);
     }
     let centre = glam::DVec3::new(0.0, -3.0, 0.0);
     let camera =
