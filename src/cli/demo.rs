@@ -20,7 +20,7 @@ use relume_capture::formats::environment::{self, EnvironmentFileError};
 use relume_capture::formats::model_file::{self, ModelFileError};
 use relume_capture::{Capture, CaptureError, CaptureView, SyntheticOptions, synthetic, write_archive};
 use relume_client::{Client, ClientError, JobEvent};
-use relume_spec::rendering::FrameFormat;
+use relume_spec::rendering::{FrameFormat, Output};
 use relume_spec::training::{Preset, TrainOverrides};
 use relume_train::eval::{
     CaptureFacts, EvalError, EvalOptions, Report, Sheet, SheetFormat, SheetRows, contact_sheet, evaluate,
@@ -239,6 +239,7 @@ async fn picture(
         environment: EnvironmentSpec { id: Some(light), ..EnvironmentSpec::default() },
         width: SIZE,
         height: SIZE,
+        outputs: vec![Output::Rgb],
         ..RenderRequest::default()
     };
     Ok(client.render(model, &request, FrameFormat::Png).await?.to_vec())
