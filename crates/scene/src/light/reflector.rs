@@ -7,7 +7,7 @@ use glam::DVec3;
 
 use crate::light::brdf::{BrdfLut, ggx_d, ggx_smith_correlated};
 
-/// What a surface is made of.
+/// Material of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Material {
     /// Base colour, 0 to 1 per channel.

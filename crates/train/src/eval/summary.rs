@@ -1,4 +1,4 @@
-//! Three lines on the quality of a model: its scores, what is weakest, and the probable causes.
+//! Three lines on the quality of a model: its scores, its weakest view, and the probable causes.
 
 use serde_json::Value;
 
