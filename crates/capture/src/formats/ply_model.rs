@@ -4,8 +4,9 @@
 //! (`f_dc_*`, then `f_rest_*` channel by channel), opacity logit, log-scales, quaternion `w x y z`. After them,
 //! announced by `comment relight_schema 1`, follow `albedo_0..2` (linear Rec.709), `metallic`, `roughness`, all
 //! activated, `visibility_*` (SH coefficients, index `l * l + l + m`) and, if the model has any, `sheen` (logarithm
-//! of the diffuse term's gain at grazing view; specific to Relume, other tools define sheen differently). All values
-//! are in capture coordinates. `comment SplatRenderMode: mip` or `default`, a convention of Brush and gsplat, tells a
+//! of the diffuse term's gain at grazing view; specific to Relume, other tools define sheen differently) and
+//! `sampling_rate` (pixels per unit of length in the photograph that shows the Gaussian largest). All values are in capture
+//! coordinates. `comment SplatRenderMode: mip` or `default`, a convention of Brush and gsplat, tells a
 //! viewer whether the opacities need low-pass compensation. `comment relume {...}` states in JSON how the Gaussians
 //! are shaded (`PlyMetadata`).
 
@@ -50,12 +51,13 @@ pub fn encode(model: &Model) -> Vec<u8> {
 pub fn encode_splats(model: &Model, splats: &Splats, columns: PlyProperties) -> Vec<u8> {
     let fields = match columns {
         PlyProperties::Ordinary => &[][..],
-        PlyProperties::Relightable if model.gaussians.field(Field::Sheen).iter().all(|s| *s == 0.0) => {
-            &[Field::Visibility]
-        }
-        PlyProperties::Relightable => &[Field::Visibility, Field::Sheen],
+        PlyProperties::Relightable => &[Field::Visibility, Field::Sheen, Field::SamplingRate][..],
     };
-    let names = property_names(model, columns, fields);
+    let is_written = |field: &Field| {
+        *field == Field::Visibility || model.gaussians.field(*field).iter().any(|value| *value != 0.0)
+    };
+    let fields: Vec<Field> = fields.iter().copied().filter(is_written).collect();
+    let names = property_names(model, columns, &fields);
     let mut out = header(model, splats.len(), &names, columns).into_bytes();
     out.reserve(splats.len() * names.len() * 4);
     let mut row = Vec::with_capacity(names.len());
@@ -67,7 +69,10 @@ pub fn encode_splats(model: &Model, splats: &Splats, columns: PlyProperties) -> 
             row.extend(material.albedo);
             row.extend([material.metallic, material.roughness]);
         }
-        fields.iter().for_each(|field| row.extend(model.gaussians.row(*field, i)));
+        let units = |field: Field| if field == Field::SamplingRate { model.world_scale } else { 1.0 };
+        for field in &fields {
+            row.extend(model.gaussians.row(*field, i).iter().map(|v| (f64::from(*v) * units(*field)) as f32));
+        }
         debug_assert_eq!(row.len(), names.len());
         row.iter().for_each(|v| out.extend(v.to_le_bytes()));
     }
@@ -112,9 +117,10 @@ fn property_names(model: &Model, columns: PlyProperties, fields: &[Field]) -> Ve
         out.extend(plain(&["metallic", "roughness"]));
     }
     for field in fields {
-        match model.gaussians.width(*field) {
-            1 if *field == Field::Sheen => out.push("sheen".to_owned()),
-            width => out.extend(numbered("visibility", width)),
+        match field {
+            Field::Sheen => out.push("sheen".to_owned()),
+            Field::SamplingRate => out.push("sampling_rate".to_owned()),
+            _ => out.extend(numbered("visibility", model.gaussians.width(*field))),
         }
     }
     out
@@ -171,6 +177,8 @@ mod tests {
         let mut cloth = example();
         cloth.gaussians.row_mut(Field::Sheen, 1)[0] = 0.5;
         assert_eq!(property(&encode(&cloth), "sheen"), 0.5);
+        cloth.gaussians.row_mut(Field::SamplingRate, 1)[0] = 8.0;
+        assert_eq!(property(&encode(&cloth), "sampling_rate"), 16.0, "pixels per unit of the capture");
     }
 
     #[test]

@@ -62,6 +62,9 @@ pub enum SplatFileError {
 /// without materials, a PLY is an ordinary splat file. For [`ExportedColour::Relit`] the model must come from
 /// [`relit`]. With `flatten`, each Gaussian is rotated until its shortest axis is its shading normal.
 ///
+/// All files but the PLY with materials, which states the sampling rates, have Gaussians widened for enlargement
+/// ([`Splats::with_low_pass`]).
+///
 /// # Errors
 /// If the file would be too large for its format.
 pub fn encode_splat_file(
@@ -70,7 +73,12 @@ pub fn encode_splat_file(
     shown: Option<ExportedColour>,
     flatten: bool,
 ) -> Result<Vec<u8>, SplatFileError> {
+    let ordinary = shown.is_some() || !model.has_materials();
+    let columns = if ordinary { PlyProperties::Ordinary } else { PlyProperties::Relightable };
     let mut splats = Splats::of(model);
+    if file != SplatFile::Ply || ordinary {
+        splats = splats.with_low_pass(model);
+    }
     if flatten {
         splats = splats.flattened();
     }
@@ -80,8 +88,6 @@ pub fn encode_splat_file(
     if let Some(layer) = shown.and_then(layer) {
         splats = splats.painted(layer);
     }
-    let ordinary = shown.is_some() || !model.has_materials();
-    let columns = if ordinary { PlyProperties::Ordinary } else { PlyProperties::Relightable };
     Ok(match file {
         SplatFile::Ply => ply_model::encode_splats(model, &splats, columns),
         SplatFile::Glb => gltf::encode_splats(&splats)?,

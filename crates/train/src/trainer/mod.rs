@@ -2,6 +2,7 @@
 
 mod card;
 mod crop;
+mod density_rounds;
 mod photographs;
 mod preparation;
 mod step_results;
@@ -17,7 +18,7 @@ use crate::context::StepContext;
 use crate::dataset::{Dataset, DecodingStats};
 use crate::error::{MAX_ROLLBACKS, TrainError};
 use crate::state::ScheduleState;
-use crate::{checkpoint, complexity, density, exposure, initial, light_colour, lights, materials, schedule};
+use crate::{checkpoint, complexity, exposure, initial, light_colour, lights, materials, schedule};
 use relume_capture::Capture;
 use relume_engine::{
     Device, PhotoId, PhotoSize, Step, StepCounts, TrainState, TrainingEngine, TrainingLimits, evaluation,
@@ -28,8 +29,6 @@ use relume_spec::training::{LabelSource, TrainConfig};
 
 /// Number of steps between snapshots for roll-backs.
 const SNAPSHOT_EVERY: u32 = 50;
-/// Number of steps between density control rounds.
-const REFINE_EVERY: u32 = 100;
 
 /// Report of one step.
 #[derive(Debug, Clone, PartialEq)]
@@ -200,6 +199,7 @@ impl Trainer {
         if self.is_done() {
             self.wait_for_steps()?;
             if self.tracker.non_finite_step.is_none() {
+                self.drop_unseen()?;
                 self.decide()?;
             }
         }
@@ -409,34 +409,6 @@ impl Trainer {
     fn measure(&mut self, repeats: usize) -> Result<(), TrainError> {
         let _span = tracing::info_span!("measure", repeats).entered();
         Ok(self.engine.measure(&schedule::measurement(&self.config, &self.data.rotations, repeats))?)
-    }
-
-    fn refine(&mut self) -> Result<(), TrainError> {
-        let (step, total) = (self.schedule.step, self.config.iterations);
-        let last = (self.config.densify_until * total as f32) as u32;
-        let first = (total / 50).max(50);
-        if step < first || step > last || !step.is_multiple_of(REFINE_EVERY.min((total / 15).max(10))) {
-            return Ok(());
-        }
-        self.wait_for_steps()?;
-        if self.tracker.non_finite_step.is_some() {
-            return Ok(());
-        }
-        // The budget grows with the square root of progress, so that early Gaussians converge first.
-        let share = ((step - first) as f32 / (last - first).max(1) as f32).sqrt();
-        let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
-        self.schedule.complexity.before_round(&self.config, step, self.engine.gaussians());
-        let most = self.schedule.complexity.most_gaussians.unwrap_or(u32::MAX) as usize;
-        let budget = ((low + (high - low) * share) as usize).min(most);
-        let centres = (!self.data.has_alpha).then(|| self.data.camera_centres());
-        let _span = tracing::info_span!("density", budget).entered();
-        let signals = self.engine.density_signals()?;
-        self.engine.rebuild(&density::plan(&signals, budget, centres.as_deref()))?;
-        if step > self.config.warm_up_steps() && self.measures() {
-            // New Gaussians need their own labels and gathered light.
-            self.measure(1)?;
-        }
-        Ok(())
     }
 
     /// Progress of the training.

@@ -46,6 +46,8 @@ pub(super) struct MaterialColumns {
     pub(super) visibility: Vec<usize>,
     pub(super) visibility_degree: usize,
     sheen: Option<usize>,
+    /// Pixels per unit of length.
+    sampling_rate: Option<usize>,
 }
 
 impl SplatColumns {
@@ -183,12 +185,12 @@ impl MaterialColumns {
                 format!("{} coefficients match no SH degree", visibility.len()),
             );
         };
-        let sheen = table.column("sheen");
-        Ok(Some(Self { albedo, metallic, roughness, visibility, visibility_degree, sheen }))
+        let (sheen, sampling_rate) = (table.column("sheen"), table.column("sampling_rate"));
+        Ok(Some(Self { albedo, metallic, roughness, visibility, visibility_degree, sheen, sampling_rate }))
     }
 
     fn all(&self) -> impl Iterator<Item = usize> + '_ {
-        let single = [self.metallic, self.roughness].into_iter().chain(self.sheen);
+        let single = [self.metallic, self.roughness].into_iter().chain(self.sheen).chain(self.sampling_rate);
         self.albedo.into_iter().chain(single).chain(self.visibility.iter().copied())
     }
 
@@ -201,6 +203,7 @@ impl MaterialColumns {
         let visibility = self.visibility.iter().map(|c| row[*c] as f32);
         out.row_mut(Field::Visibility, i).iter_mut().zip(visibility).for_each(|(o, v)| *o = v);
         out.row_mut(Field::Sheen, i)[0] = self.sheen.map_or(0.0, |c| row[c] as f32);
+        out.row_mut(Field::SamplingRate, i)[0] = self.sampling_rate.map_or(0.0, |c| row[c].max(0.0) as f32);
     }
 }
 

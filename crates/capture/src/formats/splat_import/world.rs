@@ -31,6 +31,8 @@ pub(super) fn into_world(model: &mut Model) {
     }
     let grow = scale.ln() as f32;
     model.gaussians.field_mut(Field::LogScale).iter_mut().for_each(|s| *s += grow);
+    let rates = model.gaussians.field_mut(Field::SamplingRate);
+    rates.iter_mut().for_each(|rate| *rate = (f64::from(*rate) / scale) as f32);
 }
 
 /// Sets the normal field so that the shading normal, seen from outside, is `unit`. A vector that is not finite counts as

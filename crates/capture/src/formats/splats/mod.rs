@@ -1,6 +1,7 @@
 //! Gaussians in the form that splat programs read: shape, opacity, colour as spherical harmonics, and additionally
 //! the material. All writers of splat files start from this form.
 
+mod low_pass;
 mod y_up;
 
 use glam::{DQuat, DVec3, Vec3};

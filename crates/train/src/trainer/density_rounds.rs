@@ -1,0 +1,62 @@
+//! The rounds of density control during a training.
+
+use crate::TrainError;
+use crate::density;
+use crate::trainer::Trainer;
+use relume_engine::PhotoSize;
+
+/// Largest number of steps between two rounds.
+const REFINE_EVERY: u32 = 100;
+
+impl Trainer {
+    /// Adds and drops Gaussians if a round is due after this step.
+    pub(super) fn refine(&mut self) -> Result<(), TrainError> {
+        let (step, total) = (self.schedule.step, self.config.iterations);
+        let last = (self.config.densify_until * total as f32) as u32;
+        let first = (total / 50).max(50);
+        let every = REFINE_EVERY.min((total / 15).max(10));
+        if step < first || step > last || !step.is_multiple_of(every) {
+            return Ok(());
+        }
+        self.wait_for_steps()?;
+        if self.tracker.non_finite_step.is_some() {
+            return Ok(());
+        }
+        // The budget grows with the square root of progress, so that early Gaussians converge first.
+        let share = ((step - first) as f32 / (last - first).max(1) as f32).sqrt();
+        let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
+        self.schedule.complexity.before_round(&self.config, step, self.engine.gaussians());
+        let most = self.schedule.complexity.most_gaussians.unwrap_or(u32::MAX) as usize;
+        let budget = ((low + (high - low) * share) as usize).min(most);
+        let centres = (!self.data.has_alpha).then(|| self.data.camera_centres());
+        let _span = tracing::info_span!("density", budget).entered();
+        let signals = self.engine.density_signals()?;
+        self.engine.rebuild(&density::plan(&signals, budget, centres.as_deref()))?;
+        if is_clearing_round(step, first, last, every) {
+            self.drop_unseen()?;
+        }
+        if step > self.config.warm_up_steps() && self.measures() {
+            // New Gaussians need their own labels and gathered light.
+            self.measure(1)?;
+        }
+        Ok(())
+    }
+
+    /// Drops the Gaussians that no photograph shows.
+    pub(super) fn drop_unseen(&mut self) -> Result<(), TrainError> {
+        let state = self.engine.state()?;
+        if state.model.check().is_err() {
+            // The next step rolls back, and the schedule reaches this point again.
+            return Ok(());
+        }
+        let plan = density::without_unseen(&state, &self.data.cameras(PhotoSize::Half));
+        Ok(plan.map_or(Ok(()), |plan| self.engine.rebuild(&plan))?)
+    }
+}
+
+/// True for two of the density control rounds, which are `every` steps apart: half-way between `first` and `last`, and the last one.
+/// They also drop the Gaussians that no photograph shows, because the following rounds and steps then fill the gaps.
+fn is_clearing_round(step: u32, first: u32, last: u32, every: u32) -> bool {
+    let contains = |due: u32| step <= due && due - step < every;
+    contains(last) || contains(first + last.saturating_sub(first) / 2)
+}
