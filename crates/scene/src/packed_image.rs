@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn scene_referred_image_without_values_above_1_is_stored_as_others() {
+    fn scene_referred_values_up_to_1_are_stored_as_others() {
         for transparent in [false, true] {
             let image = ramp(65_536, transparent);
             let packed = PackedImage::scene_referred(&image);

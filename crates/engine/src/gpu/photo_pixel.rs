@@ -39,7 +39,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_of_the_extended_range_are_stored_and_masks_are_not_scaled() {
+    fn extended_range_scales_colours_and_not_masks() {
         let white = DisplayRange::Extended.white();
         let [low, high] = photo_pixel([white, 0.5 * white, 99.0, 1.0], DisplayRange::Extended);
         assert_eq!([low, high], [0x8000_ffff, 0xffff_ffff]);
