@@ -23,5 +23,6 @@ fn main(@builtin(global_invocation_id) gid: vec3u) {
     }
     var s = pixel_surface(gid.xy, pixel_ix, coverage);
     let f = shade(&s);
-    physical[pixel_ix] = vec4f(display(f.diffuse + f.specular, shading.srgb != 0u) * coverage + behind, 0.0);
+    let shown = display(f.diffuse + f.specular, shading.srgb != 0u, shading.peak);
+    physical[pixel_ix] = vec4f(shown * coverage + behind, 0.0);
 }

@@ -43,8 +43,8 @@ fn pixel_backward(pixel: vec2u) -> Shares {
         var f = shade(&s);
         let linear = f.diffuse + f.specular;
         let is_srgb = shading.srgb != 0u;
-        by_coverage += dot(g, display(linear, is_srgb) - shading.background.xyz);
-        let by_linear = display_backward(linear, g * coverage, is_srgb);
+        by_coverage += dot(g, display(linear, is_srgb, shading.peak) - shading.background.xyz);
+        let by_linear = display_backward(linear, g * coverage, is_srgb, shading.peak);
         by = shade_backward(&s, &f, by_linear);
         // Attributes are buffers divided by coverage.
         let along = dot(by.normal, s.normal) + dot(by.albedo, s.albedo) + dot(by.gathered, s.gathered)

@@ -25,7 +25,7 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     var shown = vec3f(0.0);
     if coverage >= MIN_COVERAGE {
         let outgoing = channel_outgoing(gbuffer[ROUGH_GROUP * composite.n_pixels + pixel_ix]);
-        shown = display(outgoing / coverage, composite.srgb != 0u);
+        shown = display(outgoing / coverage, composite.srgb != 0u, composite.peak);
     }
     physical[pixel_ix] = vec4f(shown * coverage + behind, 0.0);
 }

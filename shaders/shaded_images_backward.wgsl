@@ -31,8 +31,8 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     if coverage >= MIN_COVERAGE {
         let is_srgb = composite.srgb != 0u;
         let light = channel_outgoing(gbuffer[ROUGH_GROUP * n + pixel_ix]) / coverage;
-        let by_light = display_backward(light, g * coverage, is_srgb);
-        by_coverage += dot(g, display(light, is_srgb)) - dot(by_light, light) / coverage;
+        let by_light = display_backward(light, g * coverage, is_srgb, composite.peak);
+        by_coverage += dot(g, display(light, is_srgb, composite.peak)) - dot(by_light, light) / coverage;
         by_sum = by_light / coverage;
     }
     by_gbuffer[pixel_ix] = vec4f(by_coverage, g_radiance);

@@ -29,7 +29,7 @@ fn load_channel(local_ix: u32, origin: vec2u, channel: u32) {
         let pixel_ix = wide_pixel(ix, origin, term.size);
         var pair = vec2f(0.0);
         if pixel_ix < term.size.x * term.size.y {
-            pair = vec2f(image[pixel_ix][channel], photo_pixel(pixel_ix)[channel]);
+            pair = vec2f(image[pixel_ix][channel], photo_pixel(pixel_ix, term.photo_white)[channel]);
         }
         sh_pair[ix] = pair;
     }

@@ -53,7 +53,7 @@ fn main(
     let inside = gid.x < term.size.x && gid.y < term.size.y;
     let pixel_ix = select(0u, gid.y * term.size.x + gid.x, inside);
     let a = image[pixel_ix].xyz;
-    let b = photo_pixel(pixel_ix).xyz;
+    let b = photo_pixel(pixel_ix, term.photo_white).xyz;
     var g = term.l1 * term.scale * sign(a - b);
     for (var channel = 0u; channel < 3u; channel++) {
         let by = blurred(local_ix, TILE * wid.xy, channel);

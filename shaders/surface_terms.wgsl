@@ -23,8 +23,10 @@ struct SurfaceTerms {
     // 1 / number of horizontal neighbour pairs; the next member is the same for vertical pairs.
     across: f32,
     down: f32,
-    // Weights of smoothness: metalness, roughness, each channel of the normal, unused.
-    smoothness: vec4f,
+    // Weights of smoothness: metalness, roughness, each channel of the normal.
+    smoothness: vec3f,
+    // Colour of the highest level of the photograph.
+    photo_white: f32,
 }
 
 @group(0) @binding(0) var<uniform> camera: Camera;
@@ -167,7 +169,8 @@ struct PairGradient {
 
 fn pair_term(own_ix: u32, own: Attributes, other_ix: u32, scale: f32) -> PairGradient {
     let other = attributes_at(other_ix);
-    let edge = dot(abs(photo_pixel(own_ix).xyz - photo_pixel(other_ix).xyz), vec3f(1.0)) / 3.0;
+    let colours = photo_pixel(own_ix, weights.photo_white) - photo_pixel(other_ix, weights.photo_white);
+    let edge = dot(abs(colours.xyz), vec3f(1.0)) / 3.0;
     let factor = scale * exp(-edge);
     let by_normal = own.normal - other.normal;
     let by_material = own.material - other.material;
@@ -213,7 +216,7 @@ fn pixel_terms(pixel: vec2u) -> vec4f {
     let pixel_ix = pixel_ix_of(pixel);
     var out: BufferGradient;
     var values = vec4f(0.0);
-    let difference = channel_coverage(gbuffer[pixel_ix]) - photo_pixel(pixel_ix).w;
+    let difference = channel_coverage(gbuffer[pixel_ix]) - photo_pixel(pixel_ix, weights.photo_white).w;
     values.x = weights.coverage * abs(difference);
     out.coverage += weights.coverage * sign(difference);
 #ifdef GEOMETRY
@@ -222,7 +225,7 @@ fn pixel_terms(pixel: vec2u) -> vec4f {
     }
 #endif
 #ifdef MATERIAL
-    if any(weights.smoothness != vec4f(0.0)) {
+    if any(weights.smoothness != vec3f(0.0)) {
         values.z = add_smoothness(pixel, &out);
     }
 #endif

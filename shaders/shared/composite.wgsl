@@ -7,5 +7,6 @@ struct Composite {
     srgb: u32,
     // Number of groups of the G-buffer gradient of Gaussians that were shaded before blending.
     n_groups: u32,
-    pad: u32,
+    // Radiance at which display values end.
+    peak: f32,
 }

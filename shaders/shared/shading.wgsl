@@ -25,7 +25,8 @@ struct Shading {
     srgb: u32,
     // 1: the diffuse term has the share of the light that the highlight leaves.
     conserves_energy: u32,
-    pad_a: u32,
+    // Radiance at which display values end.
+    peak: f32,
     pad_b: u32,
     pad_c: u32,
 }

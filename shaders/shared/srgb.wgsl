@@ -1,4 +1,4 @@
-// The sRGB curve on [0, 1], its derivative and its inverse: the port of crates/engine/src/cpu/display.rs.
+// The sRGB curve, whose power continues above 1, its derivative and its inverse: the port of crates/engine/src/cpu/display.rs.
 
 fn srgb(x: f32) -> f32 {
     return select(1.055 * pow(max(x, 0.0031308), 1.0 / 2.4) - 0.055, 12.92 * x, x <= 0.0031308);

@@ -19,8 +19,9 @@ struct ImageTerm {
     // Weights of the absolute error and of 1 - SSIM.
     l1: f32,
     ssim: f32,
-    pad_a: u32,
-    pad_b: u32,
+    // Colour of the highest level of the photograph.
+    photo_white: f32,
+    pad: u32,
 }
 
 // Row-major pixel index of element `ix` of the square with border around `origin`, or `n_pixels` outside the image.

@@ -85,11 +85,11 @@ fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
         case RADIANCE: {
             if present.map_size.x > 0u {
                 let all = sum.rgb + (1.0 - coverage) * light_behind(ray);
-                return vec4f(display(all * present.gain, true), 1.0);
+                return vec4f(display(all * present.gain, true, 1.0), 1.0);
             }
-            return over_background(display(value * present.gain, true), coverage);
+            return over_background(display(value * present.gain, true, 1.0), coverage);
         }
-        case ALBEDO: { return over_background(display(value, true), coverage); }
+        case ALBEDO: { return over_background(display(value, true, 1.0), coverage); }
         case NORMAL: {
             let facing = select(value, -value, dot(value, ray) > 0.0);
             return vec4f(select(vec3f(0.0), normalised3(facing), is_there) * 0.5 + 0.5, 1.0);

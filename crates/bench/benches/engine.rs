@@ -18,7 +18,7 @@ use relume_engine::{Device, SurfaceShader};
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables, TableResolution, rendering_tables};
-use relume_scene::{BitDepth, Camera, EnvMap, Field, Gaussians, ImageRgba, Model, PackedImage};
+use relume_scene::{BitDepth, Camera, DisplayRange, EnvMap, Field, Gaussians, ImageRgba, Model, PackedImage};
 use relume_spec::rendering::{Output, Tier};
 use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
 use relume_train::Trainer;
@@ -81,7 +81,7 @@ fn tables() -> &'static LightTables {
 }
 
 fn shader() -> SurfaceShader<'static> {
-    SurfaceShader { tables: tables(), options: &model().shading, sh_degree: 4 }
+    SurfaceShader { tables: tables(), options: &model().shading, sh_degree: 4, range: DisplayRange::Unit }
 }
 
 fn full_pass() -> &'static Pass {

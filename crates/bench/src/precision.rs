@@ -10,14 +10,14 @@ use relume_compare::{largest_difference, relative_error, worst};
 use crate::BoxError;
 use relume_engine::cpu::objective::image::Target;
 use relume_engine::gpu::objective::{ImageTerm, LOSS_SLOTS, LossSlot};
-use relume_engine::gpu::{CameraUniform, Gpu, photo_pixel};
+use relume_engine::gpu::{CameraUniform, DevicePhoto, Gpu, photo_pixel};
 use relume_engine::{Device, DeviceChoice, DeviceError, ImageWeights, RasterCamera};
 use relume_reference::parity::{
     LightShape, ParityCase, ParityResult, cpu_result, gpu_result, reference_result, stable_pixels,
 };
 use relume_reference::{Array, Tape, losses};
 use relume_scene::light::TableResolution;
-use relume_scene::{Camera, Field, Gaussians, Model};
+use relume_scene::{Camera, DisplayRange, Field, Gaussians, Model};
 
 const SIZE: (u32, u32) = (24, 16);
 const GAUSSIANS: usize = 24;
@@ -273,8 +273,10 @@ fn loss_gradient_gpu(
         |rows: &[[f32; 3]]| -> Vec<[f32; 4]> { rows.iter().map(|[r, g, b]| [*r, *g, *b, 1.0]).collect() };
     let pixels = (SIZE.0 * SIZE.1) as usize;
     let image = gpu.upload("image", &padded(&rendered(expected)))?;
-    let photo: Vec<_> = padded(&photograph(seed)).into_iter().map(photo_pixel).collect();
-    let photo = gpu.upload("photograph", &photo)?;
+    let range = DisplayRange::Unit;
+    let photo: Vec<_> =
+        padded(&photograph(seed)).into_iter().map(|pixel| photo_pixel(pixel, range)).collect();
+    let photo = DevicePhoto { pixels: gpu.upload("photograph", &photo)?, range };
     let partials = gpu.buffer("partials", 3 * pixels)?;
     let by_image = gpu.buffer("by image", pixels)?;
     let losses = gpu.buffer("losses", LOSS_SLOTS)?;

@@ -1,9 +1,9 @@
 //! Reading one image of a capture.
 
 use crate::formats::image_file::{self, Photograph};
-use crate::formats::{ColourConversion, ImageFileError, exif_data};
+use crate::formats::{ColourConversion, ImageFileError, SceneLight, exif_data};
 use crate::{CaptureError, CaptureFiles, ImportOptions};
-use relume_scene::{BitDepth, ImageRgba};
+use relume_scene::{BitDepth, DisplayRange, ImageRgba};
 
 /// Decodes a mask or map and reduces it as the options ask; also returns its stored size, pixels. Its values are those of
 /// the file: a colour profile is not converted.
@@ -20,7 +20,7 @@ pub(super) fn load_image(
         .map_err(|error| of_decoder(path, error))
 }
 
-/// Decodes a picture as display-encoded sRGB and reduces it as the options ask.
+/// Decodes a picture as display-encoded sRGB in [0, 1] and reduces it as the options ask.
 ///
 /// # Errors
 /// As [`load_image`].
@@ -29,7 +29,8 @@ pub(super) fn load_picture(
     path: &str,
     options: &ImportOptions,
 ) -> Result<ImageRgba, CaptureError> {
-    Ok(decode(path, &source.read(path)?, options)?.image)
+    let Photograph { image, light, .. } = decode(path, &source.read(path)?, options)?;
+    Ok(shown(image, light.range))
 }
 
 /// A decoded photograph.
@@ -43,6 +44,16 @@ pub(super) struct Loaded {
     pub depth: BitDepth,
     /// The conversion of its colours to sRGB.
     pub colour: ColourConversion,
+    /// Its brightness, if it contains linear light.
+    pub light: SceneLight,
+}
+
+/// An image of colours in `range`, as a display shows it.
+pub(super) fn shown(image: ImageRgba, range: DisplayRange) -> ImageRgba {
+    match range {
+        DisplayRange::Unit => image,
+        DisplayRange::Extended => image.shown(),
+    }
 }
 
 /// A photograph as display-encoded sRGB, whose lens is stated for `lens_size`. If only the image after EXIF rotation has the
@@ -58,13 +69,13 @@ pub(super) fn load_photo(
     options: &ImportOptions,
 ) -> Result<Loaded, CaptureError> {
     let bytes = source.read(path)?;
-    let Photograph { image, stored, colour } = decode(path, &bytes, options)?;
+    let Photograph { image, stored, colour, light } = decode(path, &bytes, options)?;
     let depth = image_file::bit_depth(&bytes).map_err(|error| CaptureError::image(path, error))?;
     let (image, stored) = match turn(&bytes, stored, lens_size) {
         Some(turn) => (turned(&image, turn), (stored.1, stored.0)),
         None => (image, stored),
     };
-    Ok(Loaded { image, stored, depth, colour })
+    Ok(Loaded { image, stored, depth, colour, light })
 }
 
 /// Number of bytes at the start of a file that contain the header of most images.

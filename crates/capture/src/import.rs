@@ -8,7 +8,7 @@ use glam::DVec3;
 use crate::check::{Finding, ImageChecks};
 use crate::formats::ply_points::Point;
 use crate::layout::{self, FoundLayout};
-use crate::photos::{self, PhotoEntry, Split};
+use crate::photos::{self, LoadedView, PhotoEntry, Split};
 use crate::{
     Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, PhotoCamera, Up, WorldUp, blender,
     bounds, cameras, colmap, identical, images, llff, masks, nerfstudio, polycam, rig, selection, truth,
@@ -35,7 +35,7 @@ pub struct UndecodedCapture {
     warnings: Vec<String>,
     sizes: Vec<(u32, u32)>,
     /// Photographs that are already decoded, by index.
-    decoded: BTreeMap<usize, CaptureView>,
+    decoded: BTreeMap<usize, LoadedView>,
 }
 
 impl UndecodedCapture {
@@ -106,7 +106,8 @@ impl UndecodedCapture {
         let entries: Vec<_> = chosen.iter().map(|i| photos[*i].clone()).collect();
         let views = photos::load(&self.source, &entries, &self.options, None)?;
         self.decoded = chosen.into_iter().zip(views).collect();
-        let bytes_of = |view: &CaptureView| view.image.bytes() as f64 / view.image.len().max(1) as f64;
+        let bytes_of =
+            |LoadedView { view, .. }: &LoadedView| view.image.bytes() as f64 / view.image.len().max(1) as f64;
         Ok(self.decoded.values().map(bytes_of).reduce(f64::min).unwrap_or(0.0))
     }
 
@@ -130,6 +131,8 @@ impl UndecodedCapture {
         let mut loaded = photos::load(&source, &missing, &options, image_checks)?.into_iter();
         let views: Vec<_> =
             (0..photos.len()).filter_map(|i| decoded.remove(&i).or_else(|| loaded.next())).collect();
+        warnings.extend(photos::limited_warning(&views));
+        let views: Vec<_> = views.into_iter().map(|loaded| loaded.view).collect();
         warnings.extend(masks::check(&views)?);
         warnings.extend(identical::check(&views, &splits(&photos)));
         let (train, test) = split(&photos, views);

@@ -5,12 +5,13 @@ use rayon::prelude::*;
 
 use crate::check::ImageChecks;
 use crate::distortion::Distortion;
-use crate::images::{Loaded, dimensions, load_photo, photo_size};
+use crate::error::name_list;
+use crate::images::{self, Loaded, dimensions, load_photo, photo_size};
 use crate::lens::{Intrinsics, Lens};
 use crate::masks::{self, MaskFile};
 use crate::truth::TruthFiles;
 use crate::{CaptureError, CaptureFiles, CaptureView, GroundTruthView, ImportOptions, undistort};
-use relume_scene::{Camera, ImageRgba, PackedImage};
+use relume_scene::{Camera, DisplayRange, ImageRgba, PackedImage, SCENE_PEAK};
 
 /// A photograph an importer has found, before its pixels are read.
 #[derive(Debug, Clone)]
@@ -44,6 +45,31 @@ pub(super) enum Split {
     Test,
 }
 
+/// A photograph after its pixels are read.
+#[derive(Debug, Clone)]
+pub(super) struct LoadedView {
+    /// The view.
+    pub view: CaptureView,
+    /// Share of its stored pixels that are brighter than [`SCENE_PEAK`] and are limited to it, 0 to 1.
+    pub limited: f64,
+}
+
+/// A warning about the photographs with pixels that are brighter than [`SCENE_PEAK`].
+pub(super) fn limited_warning(photos: &[LoadedView]) -> Option<String> {
+    let limited: Vec<&LoadedView> = photos.iter().filter(|photo| photo.limited > 0.0).collect();
+    let most = limited.iter().map(|photo| photo.limited).fold(0.0, f64::max);
+    let names: Vec<String> = limited.iter().map(|photo| photo.view.name.clone()).collect();
+    (!names.is_empty()).then(|| {
+        format!(
+            "photographs of linear light with pixels brighter than {SCENE_PEAK}, which are limited to it: {}, at most {:.2} % of \
+             the pixels of one; if that is too much, divide all photographs by the same number: {}",
+            names.len(),
+            100.0 * most,
+            name_list(&names)
+        )
+    })
+}
+
 /// Loads the photographs in parallel and passes each to `image_checks`. The order of the views and the error that is
 /// returned depend only on the list.
 ///
@@ -54,7 +80,7 @@ pub(super) fn load(
     photos: &[PhotoEntry],
     options: &ImportOptions,
     image_checks: Option<&ImageChecks>,
-) -> Result<Vec<CaptureView>, CaptureError> {
+) -> Result<Vec<LoadedView>, CaptureError> {
     let views: Vec<_> =
         photos.par_iter().map(|photo| load_one(source, photo, options, image_checks)).collect();
     views.into_iter().collect()
@@ -86,8 +112,8 @@ fn load_one(
     photo: &PhotoEntry,
     options: &ImportOptions,
     image_checks: Option<&ImageChecks>,
-) -> Result<CaptureView, CaptureError> {
-    let Loaded { mut image, stored, depth, .. } = match image_checks {
+) -> Result<LoadedView, CaptureError> {
+    let Loaded { mut image, stored, depth, light, .. } = match image_checks {
         None => load_photo(source, &photo.image, photo.lens.approximate_size(), options)?,
         Some(image_checks) => load_and_check(source, photo, options, image_checks)?,
     };
@@ -95,14 +121,18 @@ fn load_one(
         masks::apply(source, mask, stored, &mut image, options)?;
     }
     let (camera, image) = undistorted(photo, stored, image)?;
-    let image = PackedImage::new(&image, depth);
+    let image = match light.range {
+        DisplayRange::Unit => PackedImage::new(&image, depth),
+        DisplayRange::Extended => PackedImage::scene_referred(&image),
+    };
     let truth = if options.load_truth {
         photo.truth.load(source, (image.width, image.height), options)?
     } else {
         GroundTruthView::default()
     };
     let light_rotation_deg = photo.light_rotation_deg;
-    Ok(CaptureView { name: photo.image.clone(), camera, image, light_rotation_deg, truth })
+    let view = CaptureView { name: photo.image.clone(), camera, image, light_rotation_deg, truth };
+    Ok(LoadedView { view, limited: light.limited })
 }
 
 /// [`load_photo`] that first loads an image large enough for `image_checks`, then reduces it.
@@ -120,7 +150,7 @@ fn load_and_check(
     Ok(Loaded { image: loaded.image.resized(width, height), ..loaded })
 }
 
-/// The photograph without its mask file; `straight` removes the lens distortion.
+/// The photograph without its mask file, colours clamped to [0, 1]; `straight` removes the lens distortion.
 ///
 /// # Errors
 /// Names the image, or the file and field of an unusable pose or lens.
@@ -130,8 +160,9 @@ pub(super) fn picture(
     options: &ImportOptions,
     straight: bool,
 ) -> Result<ImageRgba, CaptureError> {
-    let Loaded { image, stored, .. } =
+    let Loaded { image, stored, light, .. } =
         load_photo(source, &photo.image, photo.lens.approximate_size(), options)?;
+    let image = images::shown(image, light.range);
     if straight { Ok(undistorted(photo, stored, image)?.1) } else { Ok(image) }
 }
 

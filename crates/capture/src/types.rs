@@ -31,7 +31,8 @@ pub struct CaptureView {
     pub name: String,
     /// Pose and intrinsics at the image's resolution, distortion already removed.
     pub camera: Camera,
-    /// The photograph: 3 or 4 bytes a pixel if its file has 8 bits a channel.
+    /// The photograph: 3 or 4 bytes a pixel if its file has 8 bits a channel. Linear light brighter than white is kept: see
+    /// [`PackedImage::range`].
     pub image: PackedImage,
     /// Rotation of the light about +Z relative to the other photographs, degrees counter-clockwise seen from above; 0
     /// if the light did not move.

@@ -19,7 +19,7 @@ pub fn source(state: &TrainState) -> AttributeSource<'_> {
     training::source(state, &NO_INDIRECT_BASIS, LightRotation::default())
 }
 
-/// The physically based branch from the camera and under the light of `photo`, display-referred.
+/// The physically based branch from the camera and under the light of `photo`: display values in the range of `photo`.
 pub fn physical_image(
     state: &TrainState,
     operators: &EnvOperators,
@@ -32,7 +32,7 @@ pub fn physical_image(
     let tables = operators.apply(&turn.apply(&environment_radiance(model)));
     let basis = indirect_basis(&tables);
     let sh_degree = model.gaussians.visibility_degree();
-    let shader = SurfaceShader { tables: &tables, options: &model.shading, sh_degree };
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, sh_degree, range: photo.range };
     let source = training::source(state, &basis, photo.light).under(shader);
     let channels = branches.channels(&model.gaussians, &model.shading).blended;
     let pass = Pass::forward(

@@ -4,19 +4,21 @@ use crate::adam::{StepCounts, StepSizes};
 use crate::light_rotation::LightRotation;
 use crate::objective::StepWeights;
 use relume_layout::channel::{Channels, StepChannels};
-use relume_scene::{Camera, Field, Gaussians, IndirectForm, ShadeAt, ShadingOptions};
+use relume_scene::{Camera, DisplayRange, Field, Gaussians, IndirectForm, ShadeAt, ShadingOptions};
 
 /// A photograph at one resolution, prepared for training.
 #[derive(Debug, Clone)]
 pub struct Photo {
     /// Camera in the normalised world.
     pub camera: Camera,
-    /// Display-referred pixels over the background, row-major; empty for a photograph that the training's device holds.
+    /// Display values in `range` over the background, row-major; empty for a photograph that the training's device holds.
     pub pixels: Vec<[f32; 3]>,
     /// Mask in [0, 1], row-major; empty when the capture has no masks.
     pub alpha: Vec<f32>,
     /// Rotation of its light.
     pub light: LightRotation,
+    /// Range of the pixels, and of the images that are compared with them.
+    pub range: DisplayRange,
 }
 
 /// Size of a photograph in training.

@@ -12,7 +12,8 @@ use super::tables::TableOperators;
 use super::tape::{Tape, Var};
 use super::{attributes, compositing, display, gbuffer, losses, projection, shading, spherical};
 use relume_scene::{
-    Camera, DiffuseForm, Field, IndirectForm, MAX_LIGHTS, NormalForm, ShadeAt, ShadingOptions, VisibilityForm,
+    Camera, DiffuseForm, DisplayRange, Field, IndirectForm, MAX_LIGHTS, NormalForm, ShadeAt, ShadingOptions,
+    VisibilityForm,
 };
 
 /// Convention where the article's listing and docs/MODEL.md differ in details.
@@ -82,6 +83,8 @@ pub struct Options {
     pub alpha: AlphaLimits,
     /// Background colour, in the space in which images are compared.
     pub background: [f64; 3],
+    /// Range of the display values of the images.
+    pub range: DisplayRange,
     /// Source of light.
     pub light: Light,
     /// Radiance (M, 3) that replaces the scene's own environment.
@@ -101,6 +104,7 @@ impl Options {
             low_pass: shading.low_pass.into(),
             alpha: AlphaLimits::default(),
             background: [1.0; 3],
+            range: DisplayRange::Unit,
             light: Light::Tables(tables),
             environment: None,
             gathered: None,
@@ -126,6 +130,7 @@ impl Options {
             low_pass: 0.3,
             alpha: AlphaLimits::default(),
             background: [1.0; 3],
+            range: DisplayRange::Unit,
             light: Light::Quadrature(quadrature),
             environment: None,
             gathered: None,
@@ -178,7 +183,7 @@ pub fn forward<'t>(tape: &'t Tape, scene: &ReferenceModel, camera: &Camera, opti
     let radiance = shaded.diffuse + shaded.specular;
     let display = match options.conventions {
         Conventions::Listing => radiance.clamp(0.0, 1.0),
-        Conventions::Model => display::display(radiance, shading.srgb),
+        Conventions::Model => display::display(radiance, shading.srgb, options.range.peak().into()),
     };
     let seen = tape.input(options.conventions.shaded(&buffer.coverage.value()));
     let image = display * seen * buffer.coverage + background;

@@ -1,6 +1,7 @@
 //! Images in memory: display-referred photographs, and planes of floats.
 
-/// A display-referred RGBA image: sRGB-curve colour and straight alpha, both in [0, 1], row-major.
+/// An RGBA image: sRGB-curve colour and straight alpha, both in [0, 1], row-major. The colours of a scene-referred
+/// photograph are in [`DisplayRange::Extended`](crate::DisplayRange).
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImageRgba {
     /// Width in pixels.
@@ -29,6 +30,16 @@ impl ImageRgba {
         self.pixels.iter().map(blend).collect()
     }
 
+    /// The image with its colours clamped to [0, 1], as a display shows it.
+    #[must_use]
+    pub fn shown(&self) -> Self {
+        let pixels = self.pixels.iter().map(|&[r, g, b, a]| {
+            let [r, g, b] = [r, g, b].map(|v| v.clamp(0.0, 1.0));
+            [r, g, b, a]
+        });
+        Self { width: self.width, height: self.height, pixels: pixels.collect() }
+    }
+
     /// The image reduced to `width` x `height` by area averaging with premultiplied alpha.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
@@ -53,7 +64,7 @@ impl ImageRgba {
         };
         let straight = |p: [f32; 4]| {
             let a = p[3].max(1e-8);
-            [(p[0] / a).min(1.0), (p[1] / a).min(1.0), (p[2] / a).min(1.0), p[3].min(1.0)]
+            [unrounded(p[0] / a), unrounded(p[1] / a), unrounded(p[2] / a), p[3].min(1.0)]
         };
         let pixels = averaged(stored, size, premultiplied).into_iter().map(straight).collect();
         Self { width, height, pixels }
@@ -67,6 +78,14 @@ impl<const C: usize> Plane<C> {
         let values = averaged((self.width, self.height), (width, height), |i| self.values[i]);
         Self { width, height, values }
     }
+}
+
+/// Largest error of a mean of values up to 1 by rounding.
+const ROUNDING: f32 = 1e-5;
+
+/// A mean, at most 1 if it exceeds 1 only by rounding. NaN becomes 1.
+fn unrounded(mean: f32) -> f32 {
+    if mean > 1.0 + ROUNDING { mean } else { mean.min(1.0) }
 }
 
 /// Means of the values `value(i)` of an image of size `from` over the cells of an image of size `to`, row-major.
@@ -120,5 +139,14 @@ mod tests {
         assert!(small.pixels.iter().all(|p| (p[0] - 1.0).abs() < 1e-6 && p[1] == 0.0));
         let mean: f32 = small.pixels.iter().map(|p| p[3]).sum::<f32>() / 4.0;
         assert!((mean - 15.0 / 16.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn resizing_keeps_values_above_1_and_adds_none() {
+        let grey = |v: f32| ImageRgba { width: 3, height: 3, pixels: vec![[v, v, v, 0.7]; 9] };
+        assert!(grey(1.0).resized(2, 2).pixels.iter().flatten().all(|v| *v <= 1.0));
+        assert!(grey(3.0).resized(2, 2).pixels.iter().all(|p| (p[0] - 3.0).abs() < 1e-5), "the control");
+        assert_eq!(grey(3.0).shown(), grey(1.0));
+        assert_eq!(grey(0.5).shown(), grey(0.5));
     }
 }

@@ -2,6 +2,7 @@
 
 mod camera;
 mod column_shift;
+mod display_range;
 mod environment;
 mod gaussians;
 mod illumination;
@@ -14,6 +15,7 @@ pub mod srgb;
 
 pub use camera::{Camera, CameraError};
 pub use column_shift::ColumnShift;
+pub use display_range::{DisplayRange, SCENE_PEAK};
 pub use environment::{
     EnvMap, EnvMapError, EnvMapStats, MAX_RADIANCE, direction_to_uv, texel_directions, uv_to_direction,
 };

@@ -2,26 +2,28 @@
 
 use std::sync::Arc;
 
-use crate::ImageRgba;
+use crate::{DisplayRange, ImageRgba};
 
 /// Bits per channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BitDepth {
     /// Levels of 1/255.
     Eight,
-    /// Levels of 1/65535.
+    /// Levels of 1/65535; of `DisplayRange::Extended.white() / 65535` for the colours of scene-referred photographs.
     Sixteen,
 }
 
-/// A display-referred image with 3 channels where it is opaque and 4 elsewhere. A clone shares the pixels.
+/// A photograph with 3 channels where it is opaque and 4 elsewhere. A clone shares the pixels.
 ///
-/// A value that is a level of the bit depth, as every value of an image file is, round-trips exactly.
+/// A value that is a level of the bit depth, as every value of an image file of integers is, round-trips exactly. The values of
+/// scene-referred photographs are spaced by 9e-5.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct PackedImage {
     /// Width in pixels.
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
+    range: DisplayRange,
     samples: Samples,
 }
 
@@ -66,10 +68,27 @@ fn value16(level: u16) -> f32 {
 impl PackedImage {
     /// `image` clamped to [0, 1] and rounded to levels of `depth`. The result is opaque where every alpha rounds to 1.
     pub fn new(image: &ImageRgba, depth: BitDepth) -> Self {
+        Self::packed(image, depth, DisplayRange::Unit)
+    }
+
+    /// A scene-referred photograph at 16 bits: `image` clamped to [`DisplayRange::Extended`] and rounded to its levels. Without a
+    /// colour above 1 the result is that of [`Self::new`].
+    pub fn scene_referred(image: &ImageRgba) -> Self {
+        let exceeds = |p: &[f32; 4]| p[..3].iter().any(|v| *v > 1.0);
+        let range = match image.pixels.iter().any(exceeds) {
+            true => DisplayRange::Extended,
+            false => DisplayRange::Unit,
+        };
+        Self::packed(image, BitDepth::Sixteen, range)
+    }
+
+    /// `image` clamped to `range`, which is `Unit` for 8 bits, and rounded to levels of `depth`.
+    fn packed(image: &ImageRgba, depth: BitDepth, range: DisplayRange) -> Self {
         let is_opaque = match depth {
             BitDepth::Eight => image.pixels.iter().all(|p| level8(p[3]) == u8::MAX),
             BitDepth::Sixteen => image.pixels.iter().all(|p| level16(p[3]) == u16::MAX),
         };
+        let colour16 = |v: f32| level16(v / range.white());
         let pixels = image.pixels.iter();
         let samples = match (depth, is_opaque) {
             (BitDepth::Eight, true) => {
@@ -77,11 +96,14 @@ impl PackedImage {
             }
             (BitDepth::Eight, false) => Samples::Rgba8(pixels.map(|p| p.map(level8)).collect()),
             (BitDepth::Sixteen, true) => {
-                Samples::Rgb16(pixels.map(|&[r, g, b, _]| [r, g, b].map(level16)).collect())
+                Samples::Rgb16(pixels.map(|&[r, g, b, _]| [r, g, b].map(colour16)).collect())
             }
-            (BitDepth::Sixteen, false) => Samples::Rgba16(pixels.map(|p| p.map(level16)).collect()),
+            (BitDepth::Sixteen, false) => {
+                let packed = |&[r, g, b, a]: &[f32; 4]| [colour16(r), colour16(g), colour16(b), level16(a)];
+                Samples::Rgba16(pixels.map(packed).collect())
+            }
         };
-        Self { width: image.width, height: image.height, samples }
+        Self { width: image.width, height: image.height, range, samples }
     }
 
     /// Bits per channel.
@@ -90,6 +112,11 @@ impl PackedImage {
             Samples::Rgb8(_) | Samples::Rgba8(_) => BitDepth::Eight,
             Samples::Rgb16(_) | Samples::Rgba16(_) => BitDepth::Sixteen,
         }
+    }
+
+    /// Range of the colours: `Extended` for scene-referred photographs with a colour above 1.
+    pub fn range(&self) -> DisplayRange {
+        self.range
     }
 
     /// True when no pixel is transparent.
@@ -133,15 +160,23 @@ impl PackedImage {
         }
     }
 
-    /// Pixel `i`, row-major: `r g b a`, straight alpha, in [0, 1].
+    /// Pixel `i`, row-major: `r g b a`, straight alpha; colours in [`Self::range`], alpha in [0, 1].
     #[inline]
     pub fn pixel(&self, i: usize) -> [f32; 4] {
         match &self.samples {
             Samples::Rgb8(pixels) => opaque(pixels[i].map(value8)),
             Samples::Rgba8(pixels) => pixels[i].map(value8),
-            Samples::Rgb16(pixels) => opaque(pixels[i].map(value16)),
-            Samples::Rgba16(pixels) => pixels[i].map(value16),
+            Samples::Rgb16(pixels) => opaque(pixels[i].map(|level| self.colour16(level))),
+            Samples::Rgba16(pixels) => {
+                let [r, g, b, a] = pixels[i];
+                [self.colour16(r), self.colour16(g), self.colour16(b), value16(a)]
+            }
         }
+    }
+
+    #[inline]
+    fn colour16(&self, level: u16) -> f32 {
+        value16(level) * self.range.white()
     }
 
     /// All pixels in row-major order, each as from [`Self::pixel`].
@@ -154,12 +189,20 @@ impl PackedImage {
         self.pixels().map(|p| p[3]).collect()
     }
 
-    /// The image as floats.
+    /// The image as floats, colours in [`Self::range`].
     pub fn decoded(&self) -> ImageRgba {
         ImageRgba { width: self.width, height: self.height, pixels: self.pixels().collect() }
     }
 
-    /// The image reduced to `width` x `height` by area averaging with premultiplied alpha, at the same depth. At
+    /// The image as floats with its colours clamped to [0, 1], as a display shows it.
+    pub fn shown(&self) -> ImageRgba {
+        match self.range {
+            DisplayRange::Unit => self.decoded(),
+            DisplayRange::Extended => self.decoded().shown(),
+        }
+    }
+
+    /// The image reduced to `width` x `height` by area averaging with premultiplied alpha, at the same depth and range. At
     /// this image's own size the result shares its pixels.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
@@ -167,7 +210,7 @@ impl PackedImage {
             return self.clone();
         }
         let reduced = ImageRgba::reduced((self.width, self.height), (width, height), |i| self.pixel(i));
-        Self::new(&reduced, self.depth())
+        Self::packed(&reduced, self.depth(), self.range)
     }
 }
 
@@ -218,6 +261,46 @@ mod tests {
         for depth in [BitDepth::Eight, BitDepth::Sixteen] {
             assert_eq!(PackedImage::new(&image, depth).pixel(0), [0.0, 1.0, 0.0, 1.0]);
         }
+    }
+
+    /// One row of scene-referred colours, from black to far above the peak, and values that no photograph should have.
+    fn radiance(alpha: f32) -> ImageRgba {
+        let colours = [0.0, 0.5, 1.0, 1.4, 5.0, 1e9, f32::INFINITY, f32::NAN, -2.0, f32::NEG_INFINITY];
+        let pixels: Vec<[f32; 4]> = colours.iter().map(|v| [*v, 0.25, 0.5 * v, alpha]).collect();
+        ImageRgba { width: colours.len() as u32, height: 1, pixels }
+    }
+
+    #[test]
+    fn scene_referred_values_above_1_round_trip() {
+        let white = DisplayRange::Extended.white();
+        for alpha in [1.0, 0.5] {
+            let packed = PackedImage::scene_referred(&radiance(alpha));
+            assert_eq!((packed.range(), packed.depth()), (DisplayRange::Extended, BitDepth::Sixteen));
+            let red: Vec<f32> = packed.pixels().map(|p| p[0]).collect();
+            let expected = [0.0, 0.5, 1.0, 1.4, 5.0, white, white, 0.0, 0.0, 0.0];
+            let error = largest_difference(&red, &expected);
+            assert!(error <= 0.5 * f64::from(white) / 65_535.0 + 1e-6, "{error}");
+            assert!(packed.pixels().all(|p| (p[3] - alpha).abs() < 1e-5), "alpha has levels of 1/65535");
+            assert_eq!(packed.is_opaque(), alpha == 1.0);
+            assert!(packed.shown().pixels.iter().flatten().all(|v| (0.0..=1.0).contains(v)));
+            assert!(packed.resized(5, 1).pixel(2)[0] > 5.0, "{:?}", packed.resized(5, 1).pixel(2));
+            let clipped = PackedImage::new(&radiance(alpha), BitDepth::Sixteen);
+            assert_eq!((clipped.pixel(4)[0], clipped.range()), (1.0, DisplayRange::Unit), "the control");
+        }
+    }
+
+    #[test]
+    fn scene_referred_values_up_to_1_are_stored_as_others() {
+        for transparent in [false, true] {
+            let image = ramp(65_536, transparent);
+            let packed = PackedImage::scene_referred(&image);
+            assert_eq!(packed, PackedImage::new(&image, BitDepth::Sixteen));
+            assert_eq!(packed.decoded(), image);
+            assert_eq!(packed.shown(), image);
+        }
+        let mut brighter = ramp(65_536, false);
+        brighter.pixels[0][0] = 1.1;
+        assert_ne!(PackedImage::scene_referred(&brighter).range(), DisplayRange::Unit, "the control");
     }
 
     #[test]

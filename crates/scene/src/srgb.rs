@@ -1,11 +1,24 @@
-//! The sRGB transfer curve (IEC 61966-2-1), values in [0, 1].
+//! The sRGB transfer curve (IEC 61966-2-1), values in [0, 1], and its continuation above 1.
 
 use std::sync::LazyLock;
+
+use crate::DisplayRange;
 
 /// Linear light to the sRGB-encoded value; clamps to [0, 1], NaN becomes 0.
 pub fn encode(linear: f32) -> f32 {
     let x = unit(linear);
     if x <= 0.003_130_8 { 12.92 * x } else { (1.055 * x.powf(1.0 / 2.4) - 0.055).min(1.0) }
+}
+
+/// Linear light to the value in [`DisplayRange::Extended`]: the value of [`encode`] up to 1; above 1 the power of the curve
+/// continues. Clamps to that range, NaN becomes 0.
+pub fn encode_extended(linear: f32) -> f32 {
+    if linear > 1.0 {
+        let range = DisplayRange::Extended;
+        (1.055 * linear.min(range.peak()).powf(1.0 / 2.4) - 0.055).clamp(1.0, range.white())
+    } else {
+        encode(linear)
+    }
 }
 
 /// An sRGB-encoded value to linear light; clamps to [0, 1], NaN becomes 0.
@@ -84,6 +97,19 @@ mod tests {
             }
             assert_eq!(encode_u8(at * 0.9999), level);
             assert_eq!(encode_u8(at * 1.0001), level + 1);
+        }
+    }
+
+    #[test]
+    fn extended_curve_equals_the_curve_up_to_1_and_is_bounded() {
+        for x in (0..=1.0f32.to_bits()).step_by(997).map(f32::from_bits).chain([-1.0, f32::NAN, 1.0]) {
+            assert_eq!(encode_extended(x).to_bits(), encode(x).to_bits(), "{x}");
+        }
+        let above = [1.0, 1.000_001, 1.5, 8.0, 63.9].map(encode_extended);
+        assert!(above.is_sorted() && above[2] > 1.15, "{above:?}");
+        assert!(encode(8.0) <= 1.0, "the control: the curve is clamped");
+        for x in [64.0, 1e30, f32::INFINITY] {
+            assert!((encode_extended(x) - DisplayRange::Extended.white()).abs() < 1e-6, "{x}");
         }
     }
 

@@ -14,7 +14,7 @@ use relume_scene::Plane;
 
 /// Longest side of the images that are compared, pixels.
 const SIDE: u32 = 96;
-/// Display-referred values that are used for the ratio: neither noise nor clipped.
+/// Display values that are used for the ratio, over the white of the range for the upper one: neither noise nor clipped.
 const INFORMATIVE_RANGE: (f32, f32) = (0.06, 0.94);
 /// Mask value above which a pixel shows only the object.
 const MIN_FULL_MASK: f32 = 0.95;
@@ -70,12 +70,12 @@ fn reduced(photo: &Photo) -> Photo {
         let values = photo.alpha.iter().map(|a| [*a]).collect();
         Plane { width, height, values }.resized(w, h).values.into_flattened()
     };
-    Photo { camera: photo.camera.resized(w, h), pixels, alpha, light: photo.light }
+    Photo { camera: photo.camera.resized(w, h), pixels, alpha, light: photo.light, range: photo.range }
 }
 
 /// Median of `ln(photograph / image)` by channel, in linear light; 0 with too few usable pixels.
 fn median_ratio(photo: &Photo, image: &[[f32; 3]]) -> [f32; 3] {
-    let tells = |v: &f32| (INFORMATIVE_RANGE.0..=INFORMATIVE_RANGE.1).contains(v);
+    let tells = |v: &f32| (INFORMATIVE_RANGE.0..=INFORMATIVE_RANGE.1 * photo.range.white()).contains(v);
     let whole = |i: usize| photo.alpha.get(i).is_none_or(|a| *a > MIN_FULL_MASK);
     let used: Vec<usize> = (0..image.len())
         .filter(|i| whole(*i) && photo.pixels[*i].iter().chain(&image[*i]).all(tells))
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
     use crate::dataset::divide;
     use relume_compare::largest_difference;
-    use relume_scene::Camera;
+    use relume_scene::{Camera, DisplayRange};
 
     /// A photograph of a colour ramp, half of it behind a mask.
     fn photo(alpha: bool) -> Photo {
@@ -112,7 +112,7 @@ mod tests {
             p.map(|v| v * a + 1.0 - a)
         };
         let pixels = (0..800).map(colour).enumerate().map(over).collect();
-        Photo { camera, pixels, alpha, light: Default::default() }
+        Photo { camera, pixels, alpha, light: Default::default(), range: DisplayRange::Unit }
     }
 
     #[test]
@@ -126,6 +126,21 @@ mod tests {
             divide(&mut taken, gain, [1.0; 3]);
             assert!(largest_difference(taken.pixels.as_flattened(), plain.pixels.as_flattened()) < 1e-4);
         }
+    }
+
+    #[test]
+    fn gain_of_scene_referred_photographs_uses_pixels_above_white() {
+        let brighter = |range| {
+            let mut photo = Photo { range, ..photo(false) };
+            photo.pixels.iter_mut().flatten().for_each(|v| *v += 1.0);
+            photo
+        };
+        let (plain, mut taken) = (brighter(DisplayRange::Extended), brighter(DisplayRange::Extended));
+        divide(&mut taken, [0.8; 3], [1.0; 3]);
+        let found = median_ratio(&taken, &plain.pixels);
+        assert!(found.iter().all(|log| (log - 1.25f32.ln()).abs() < 1e-3), "{found:?}");
+        let clipped = brighter(DisplayRange::Unit);
+        assert_eq!(median_ratio(&clipped, &plain.pixels), [0.0; 3], "the control");
     }
 
     #[test]

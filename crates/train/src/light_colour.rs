@@ -8,11 +8,12 @@ use glam::{DMat3, DVec3};
 
 use relume_engine::{linear_from_srgb, sigmoid};
 use relume_scene::light::LightColour;
-use relume_scene::{Field, Gaussians};
+use relume_scene::{DisplayRange, Field, Gaussians};
 
 /// Y_00, and the factor of a direction's components in Y_1m.
 const BANDS: [f32; 2] = [0.282_094_8, 0.488_602_5];
-/// Display-referred channels that are neither near black nor near white, where colours are distorted.
+/// Display values of channels, over the white of the range for the upper one, that are neither near black nor near white, where
+/// colours are distorted.
 const LINEAR_RANGE: (f32, f32) = (0.04, 0.97);
 /// Largest distance from the centre of the scene, in scene radii. Gaussians farther away are lit differently from the
 /// object.
@@ -28,14 +29,14 @@ const MAX_LIGHT_COLOUR: LightColour = LightColour { blue_over_red: 1.5, green: 0
 /// Least share of the object's weight that must have usable colours.
 const MIN_WEIGHT_SHARE: f64 = 0.05;
 
-/// The estimated colour of the light of the photographs; neutral if the radiance branch has no view dependence.
-pub fn estimate(g: &Gaussians) -> LightColour {
+/// The estimated colour of the light of photographs in `range`; neutral if the radiance branch has no view dependence.
+pub fn estimate(g: &Gaussians, range: DisplayRange) -> LightColour {
     let (mut planes, mut change) = (DMat3::ZERO, DVec3::ZERO);
     let (mut told, mut all) = (0.0, 0.0);
     for i in 0..g.len() {
         let weight = weight(g, i);
         all += weight;
-        let Some((body, by_view)) = colours(g, i) else { continue };
+        let Some((body, by_view)) = colours(g, i, range) else { continue };
         told += weight;
         for v in by_view {
             let normal = body.cross(v);
@@ -74,10 +75,11 @@ fn weight(g: &Gaussians, i: usize) -> f64 {
 
 /// Unit linear colour of Gaussian `i`, and the derivatives of its linear colour by the three components of the view
 /// direction; `None` if they are unknown.
-fn colours(g: &Gaussians, i: usize) -> Option<(DVec3, [DVec3; 3])> {
+fn colours(g: &Gaussians, i: usize, range: DisplayRange) -> Option<(DVec3, [DVec3; 3])> {
     let radiance = g.row(Field::Radiance, i).as_chunks::<3>().0;
     let display: [f32; 3] = std::array::from_fn(|c| 0.5 + BANDS[0] * radiance[0][c]);
-    if radiance.len() < 4 || !display.iter().all(|v| (LINEAR_RANGE.0..=LINEAR_RANGE.1).contains(v)) {
+    let informative = LINEAR_RANGE.0..=LINEAR_RANGE.1 * range.white();
+    if radiance.len() < 4 || !display.iter().all(|v| informative.contains(v)) {
         return None;
     }
     let linear = |at: [f32; 3]| DVec3::from_array(at.map(|v| f64::from(linear_from_srgb(v))));
@@ -101,6 +103,10 @@ fn least_axis(matrix: DMat3) -> DVec3 {
 mod tests {
     use super::*;
     use relume_engine::{fibonacci_sphere, srgb};
+
+    fn estimate(g: &Gaussians) -> LightColour {
+        super::estimate(g, DisplayRange::Unit)
+    }
 
     /// Surfaces with the colours `bodies` in turn under `light`, each with a highlight in its own direction.
     fn scene(bodies: &[[f32; 3]], light: [f32; 3], highlight: f32) -> Gaussians {
@@ -141,5 +147,13 @@ mod tests {
         assert_eq!(estimate(&Gaussians::zeroed(5, 1, 0, 0)), LightColour::NEUTRAL, "no degree 1");
         let control = estimate(&scene(&[[0.5, 0.2, 0.1], [0.1, 0.2, 0.5]], [1.4, 0.9, 0.5], 0.02));
         assert!(control.blue_over_red < -0.3, "{control:?}");
+    }
+
+    #[test]
+    fn surfaces_above_white_count_in_the_extended_range() {
+        let bright = scene(&[[2.5, 1.0, 0.5], [0.5, 1.0, 2.5]], [1.4, 0.9, 0.5], 0.1);
+        let found = super::estimate(&bright, DisplayRange::Extended);
+        assert!(found.blue_over_red < -0.3, "{found:?}");
+        assert_eq!(estimate(&bright), LightColour::NEUTRAL, "the control: clipped photographs");
     }
 }

@@ -3,7 +3,7 @@
 
 use relume_engine::{LightRotations, TrainState, evaluation, linear_from_srgb, sigmoid};
 use relume_scene::light::{EnvOperators, LightColour, UPWARD_LUMINANCE};
-use relume_scene::{Field, Gaussians};
+use relume_scene::{DisplayRange, Field, Gaussians};
 
 /// Iterations of k-means.
 const ROUNDS: usize = 12;
@@ -26,28 +26,28 @@ fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     (0..3).map(|c| (a[c] - b[c]).powi(2)).sum()
 }
 
-/// Linear view-independent colour of Gaussian `i` in the radiance branch.
-pub fn colour(g: &Gaussians, i: usize) -> [f32; 3] {
+/// Linear view-independent colour of Gaussian `i` in the radiance branch of photographs in `range`.
+pub fn colour(g: &Gaussians, i: usize, range: DisplayRange) -> [f32; 3] {
     let s = g.row(Field::Radiance, i);
-    std::array::from_fn(|c| linear_from_srgb((0.5 + 0.282_094_8 * s[c]).clamp(0.0, 1.0)))
+    std::array::from_fn(|c| linear_from_srgb((0.5 + 0.282_094_8 * s[c]).clamp(0.0, range.white())))
 }
 
-/// The initial materials: albedo from the Gaussians' view-independent colours, under a light of colour `light`.
+/// The initial materials: albedo from the Gaussians' view-independent colours in `range`, under a light of colour `light`.
 ///
 /// If the irradiance has the level of the exposure term, a diffuse surface's colour is its albedo times that level
 /// and the light's colour.
-pub fn initialise(state: &mut TrainState, light: LightColour) {
+pub fn initialise(state: &mut TrainState, light: LightColour, range: DisplayRange) {
     let g = &state.model.gaussians;
     let light = light.rgb().map(|c| UPWARD_LUMINANCE * c);
     let albedo = |i: usize| {
-        let colour = colour(g, i);
+        let colour = colour(g, i, range);
         std::array::from_fn(|c| colour[c] / light[c])
     };
     let albedos: Vec<[f32; 3]> = (0..g.len()).map(albedo).collect();
     restart(state, &albedos, FIRST_SHARPNESS);
 }
 
-/// Restarts the materials from colours with the shading divided out: `albedo = colour pi / E`, where `E` is the
+/// Restarts the materials from colours in `range` with the shading divided out: `albedo = colour pi / E`, where `E` is the
 /// irradiance of each Gaussian through its visibility plus the gathered light, over the `rotations` of the light.
 /// `normals` are the outward normals of the measured visibility. Metalness and roughness, which a wrong light
 /// distorts, restart from their initial values.
@@ -59,10 +59,11 @@ pub fn restart_albedo(
     operators: &EnvOperators,
     rotations: &LightRotations,
     normals: &[[f32; 3]],
+    range: DisplayRange,
 ) {
     let irradiance = evaluation::irradiance(state, operators, rotations, normals);
     let albedo = |(i, irradiance): (usize, &[f32; 3])| -> [f32; 3] {
-        let colour = colour(&state.model.gaussians, i);
+        let colour = colour(&state.model.gaussians, i, range);
         std::array::from_fn(|c| colour[c] * std::f32::consts::PI / irradiance[c].max(MIN_IRRADIANCE))
     };
     let albedos: Vec<[f32; 3]> = irradiance.iter().enumerate().map(albedo).collect();
@@ -203,12 +204,12 @@ mod tests {
     #[test]
     fn albedo_restart_removes_shading_from_albedo() {
         let (mut state, operators, normals) = shaded_ball();
-        initialise(&mut state, DAYLIGHT_SKY);
+        initialise(&mut state, DAYLIGHT_SKY, DisplayRange::Unit);
         let control = albedo_error(&state);
         assert!(control.is_finite() && control > 0.1, "the control: colours with their shading, {control}");
         state.model.gaussians.field_mut(Field::Residual).fill(0.05);
         state.moments.second.field_mut(Field::ProtoLogits).fill(1.0);
-        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals);
+        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals, DisplayRange::Unit);
         assert!(albedo_error(&state) < 0.01, "{}", albedo_error(&state));
         assert!(state.moments.second.field(Field::ProtoLogits).iter().all(|m| *m == 0.0));
     }
@@ -218,9 +219,9 @@ mod tests {
         let degrees = [0.0, 90.0];
         let radians = degrees.map(f64::to_radians);
         let (mut state, operators, normals) = ball_under([0.9, 0.0, 0.0], &radians);
-        restart_albedo(&mut state, &operators, &LightRotations::of(&degrees).0, &normals);
+        restart_albedo(&mut state, &operators, &LightRotations::of(&degrees).0, &normals, DisplayRange::Unit);
         assert!(albedo_error(&state) < 0.015, "{}", albedo_error(&state));
-        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals);
+        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals, DisplayRange::Unit);
         let control = albedo_error(&state);
         assert!(control.is_finite() && control > 0.02, "the control: rotations ignored, {control}");
     }
@@ -233,7 +234,7 @@ mod tests {
                 *r = (srgb(0.5 * UPWARD_LUMINANCE * light) - 0.5) / 0.282_094_8;
             }
         }
-        initialise(&mut state, DAYLIGHT_SKY);
+        initialise(&mut state, DAYLIGHT_SKY, DisplayRange::Unit);
         assert!(state.model.prototypes.iter().flatten().all(|v| (v - 0.5).abs() < 1e-3));
     }
 
@@ -244,7 +245,7 @@ mod tests {
             state.model.gaussians.field_mut(field).fill(4.0);
             state.moments.first.field_mut(field).fill(1.0);
         }
-        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals);
+        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals, DisplayRange::Unit);
         for (field, start) in [(Field::MetalLogit, METALNESS), (Field::RoughLogit, ROUGHNESS)] {
             let values = state.model.gaussians.field(field);
             assert!(values.iter().all(|v| (sigmoid(*v) - start).abs() < 1e-6), "{field:?}: {}", values[0]);
@@ -257,7 +258,7 @@ mod tests {
         let (mut state, operators, normals) = shaded_ball();
         state.model.env_raw.fill([softplus_inverse(1e-6); 3]);
         state.model.gaussians.field_mut(Field::Radiance).fill(10.0);
-        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals);
+        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals, DisplayRange::Unit);
         assert!(state.model.prototypes.iter().flatten().all(|v| (RANGE.0..=RANGE.1).contains(v)));
         assert!(state.model.check().is_ok());
     }

@@ -7,6 +7,7 @@ mod exposures;
 mod gpu;
 mod gpu_rays;
 mod lights;
+mod scene_referred;
 mod support;
 mod tiers;
 mod training;

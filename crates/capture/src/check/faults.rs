@@ -47,8 +47,9 @@ impl PhotographFaults {
 fn stats(view: &CaptureView) -> PhotoStats {
     let stored = (view.image.width, view.image.height);
     let (width, height) = ImportOptions::at_most(SIDE).reduced_size(stored);
-    let image = view.image.resized(width, height).decoded();
-    photo::stats(&view.name, &image, stored, ExifData::default(), ColourConversion::None)
+    let image = view.image.resized(width, height);
+    let (range, image) = (image.range(), image.decoded());
+    photo::stats(&view.name, (&image, range), stored, ExifData::default(), ColourConversion::None)
 }
 
 #[cfg(test)]

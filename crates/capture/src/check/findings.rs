@@ -6,6 +6,7 @@ use super::photo::PhotoStats;
 use crate::IgnoredFile;
 use crate::formats::ColourConversion;
 use crate::photo_finder::MIN_IMAGES;
+use relume_scene::{DisplayRange, SCENE_PEAK};
 
 /// Numbers of photographs below which a set is too small, or small.
 const TOO_FEW: usize = 12;
@@ -65,6 +66,7 @@ pub(super) fn findings(photos: &[PhotoStats], unreadable: &[String]) -> Vec<Find
         .map(hint),
     );
     all.extend(colours(photos));
+    all.extend(scene_referred(photos));
     all.extend(camera(photos));
     all.sort_by_key(|finding| !finding.is_problem);
     all
@@ -137,6 +139,14 @@ pub(super) fn copies(photos: &[PhotoStats]) -> Option<Finding> {
         seen.len()
     );
     (!names.is_empty()).then_some(Finding { is_problem, text, photos: names })
+}
+
+/// A hint that names the scene-referred photographs.
+fn scene_referred(photos: &[PhotoStats]) -> Option<Finding> {
+    let what = format!(
+        "contain linear light brighter than white: they are trained on without clipping, up to {SCENE_PEAK} times white"
+    );
+    about(photos, &what, |photo| photo.range == DisplayRange::Extended).map(hint)
 }
 
 /// A finding for each colour profile that is converted or cannot be used.
@@ -228,6 +238,7 @@ mod tests {
             overlap: 0.9,
             camera: camera.clone(),
             colour: ColourConversion::None,
+            range: DisplayRange::Unit,
             digest: i as u64,
         };
         (0..50).map(photo).collect()
@@ -241,12 +252,13 @@ mod tests {
     #[test]
     fn each_fault_gives_a_finding_and_frequent_faults_are_problems() {
         type Fault = fn(&mut PhotoStats);
-        let faults: [(Fault, &str, bool); 7] = [
+        let faults: [(Fault, &str, bool); 8] = [
             (|p| p.sharpness = 10.0, "blurred", true),
             (|p| p.overlap = 0.1, "overlap too little", true),
             (|p| p.brightness = 0.01, "dark", true),
             (|p| p.clipped = 0.5, "overexposed", false),
             (|p| p.size = (400, 300), "small", false),
+            (|p| p.range = DisplayRange::Extended, "brighter than white", false),
             (|p| p.camera.exposure_s = Some(0.02), "1.0 stops", false),
             (|p| p.camera.auto_white_balance = Some(true), "white balance", false),
         ];

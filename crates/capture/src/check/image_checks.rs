@@ -19,8 +19,8 @@ impl ImageChecks {
 
     /// Checks a photograph, reduced to at least [`Self::SIDE`] on its longer side, or as it is stored.
     pub(crate) fn add(&self, name: &str, photograph: &Loaded) {
-        let Loaded { image, stored, colour, .. } = photograph;
-        let stats = photo::stats(name, image, *stored, ExifData::default(), colour.clone());
+        let Loaded { image, stored, colour, light, .. } = photograph;
+        let stats = photo::stats(name, (image, light.range), *stored, ExifData::default(), colour.clone());
         let look = (stats, Thumbnail::of(image));
         self.0.lock().unwrap_or_else(PoisonError::into_inner).push(look);
     }
@@ -42,11 +42,12 @@ impl ImageChecks {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::ColourConversion;
+    use crate::formats::{ColourConversion, SceneLight};
     use relume_scene::{BitDepth, ImageRgba};
 
     fn loaded(image: ImageRgba, colour: ColourConversion) -> Loaded {
-        Loaded { image, stored: (4000, 3000), depth: BitDepth::Eight, colour }
+        let light = SceneLight::default();
+        Loaded { image, stored: (4000, 3000), depth: BitDepth::Eight, colour, light }
     }
 
     #[test]

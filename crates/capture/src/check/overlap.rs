@@ -17,7 +17,7 @@ pub(super) struct Thumbnail(Vec<f32>);
 
 impl Thumbnail {
     pub(super) fn of(image: &ImageRgba) -> Self {
-        let small = image.resized(SIDE as u32, SIDE as u32);
+        let small = image.resized(SIDE as u32, SIDE as u32).shown();
         Self(small.pixels.iter().map(|pixel| luma(pixel) as f32).collect())
     }
 }

@@ -8,5 +8,6 @@ mod layouts;
 mod masks;
 mod pixels;
 mod rig;
+mod scene_referred;
 mod variants;
 mod with_data;

@@ -12,12 +12,12 @@ use relume_layout::constants::{MIN_COVERAGE, TILE};
 use relume_scene::light::LightTables;
 use relume_scene::{MAX_LIGHTS, ShadeAt, sh_count};
 
-/// Both branches of a view, composited over the background, row-major.
+/// Both branches of a view, composited over the background, row-major: display values in the range of the photographs.
 #[derive(Debug, Clone, Default)]
 pub struct BranchImages {
-    /// Physically based branch, display-referred.
+    /// Physically based branch.
     pub physical: Vec<[f32; 3]>,
-    /// Radiance branch, display-referred.
+    /// Radiance branch.
     pub radiance: Vec<[f32; 3]>,
 }
 

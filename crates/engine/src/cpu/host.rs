@@ -15,7 +15,8 @@ use relume_layout::channel::{Channels, IncidentLight, OutgoingRadiance};
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{LightTables, rendering_tables, split_tables, tables_of_split};
 use relume_scene::{
-    Field, Illumination, IndirectForm, MAX_LIGHTS, Model, Output, ShadeAt, ShadingOptions, SplitLight,
+    DisplayRange, Field, Illumination, IndirectForm, MAX_LIGHTS, Model, Output, ShadeAt, ShadingOptions,
+    SplitLight,
 };
 
 /// A model on the host. Data that does not depend on the light is computed on first use.
@@ -166,6 +167,11 @@ impl HostLight {
     /// The shader of the model under `tables`.
     pub(super) fn shader<'a>(&'a self, tables: &'a LightTables) -> SurfaceShader<'a> {
         let model = self.model.model();
-        SurfaceShader { tables, options: &model.shading, sh_degree: model.gaussians.visibility_degree() }
+        SurfaceShader {
+            tables,
+            options: &model.shading,
+            sh_degree: model.gaussians.visibility_degree(),
+            range: DisplayRange::Unit,
+        }
     }
 }

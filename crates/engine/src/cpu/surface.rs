@@ -1,7 +1,7 @@
 //! A surface to shade, in a pixel or at a Gaussian, and its shader.
 
 use relume_scene::light::LightTables;
-use relume_scene::{DiffuseForm, MAX_LIGHTS, ShadingOptions, VisibilityForm};
+use relume_scene::{DiffuseForm, DisplayRange, MAX_LIGHTS, ShadingOptions, VisibilityForm};
 
 /// Maximum number of visibility coefficients (degree 6, padded).
 pub const MAX_COEFFICIENTS: usize = 64;
@@ -79,6 +79,8 @@ pub struct SurfaceShader<'a> {
     pub options: &'a ShadingOptions,
     /// Degree of the visibility field.
     pub sh_degree: usize,
+    /// Range of the display values of images.
+    pub range: DisplayRange,
 }
 
 pub(super) fn dot3(a: [f32; 3], b: [f32; 3]) -> f32 {

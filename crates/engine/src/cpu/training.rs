@@ -180,7 +180,7 @@ fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
     let tables = operators.apply(&turn.apply(&radiance));
     let basis = indirect_basis(&tables);
     let sh_degree = model.gaussians.visibility_degree();
-    let shader = SurfaceShader { tables: &tables, options: &model.shading, sh_degree };
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, sh_degree, range: photo.range };
     let source = source(state, &basis, photo.light).under(shader);
     let view = RasterCamera::new(&photo.camera, source.options);
     let channels = step.branches.channels(&model.gaussians, &model.shading);

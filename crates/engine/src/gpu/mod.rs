@@ -47,7 +47,7 @@ pub use counters::DeviceCounts;
 pub use device::{Gpu, GpuOptions};
 pub use frames::GpuFrameRenderer;
 pub use permutations::groups;
-pub use photo_pixel::{PhotoPixel, photo_pixel};
+pub use photo_pixel::{DevicePhoto, PhotoPixel, photo_pixel};
 pub use raster::Raster;
 pub use readback::{InFlightLimit, ReadbackData, ReadbackTicket, Submission};
 pub use recorder::{Bind, Groups, Recorder, uniform};

@@ -3,7 +3,7 @@
 use crate::{Arrays, TableOperators};
 use relume_engine::cpu::BufferGradient;
 use relume_scene::light::{EnvOperators, TableResolution};
-use relume_scene::{Camera, LightSplit, MAX_LIGHTS, Model};
+use relume_scene::{Camera, DisplayRange, LightSplit, MAX_LIGHTS, Model};
 
 /// Table operators for environments of one size, for the reference and for the other engines.
 pub struct LightShape {
@@ -36,6 +36,8 @@ pub struct ParityCase<'a> {
     pub camera: &'a Camera,
     /// Background, display-referred.
     pub background: [f32; 3],
+    /// Range of the display values of the images.
+    pub range: DisplayRange,
     /// Measured indirect light per Gaussian; empty: none.
     pub gathered: &'a [[f32; 6]],
     /// Arriving share of each dominant light per Gaussian; empty: 1.
@@ -64,9 +66,9 @@ pub struct VisibleSplat {
 /// An engine's result.
 #[derive(Debug, Clone)]
 pub struct ParityResult {
-    /// The physically based image, display-referred.
+    /// The physically based image: display values in the range of the case.
     pub physical: Vec<[f64; 3]>,
-    /// The radiance branch, display-referred.
+    /// The radiance branch: display values.
     pub radiance: Vec<[f64; 3]>,
     /// Accumulated alpha.
     pub coverage: Vec<f64>,
@@ -109,7 +111,19 @@ impl<'a> ParityCase<'a> {
                 BufferGradient { normal, plane, metal, rough, coverage: metal - rough }
             })
             .collect();
-        Self { model, camera, background, gathered: &[], arriving: &[], light, physical, radiance, buffers }
+        let range = DisplayRange::Unit;
+        Self {
+            model,
+            camera,
+            background,
+            range,
+            gathered: &[],
+            arriving: &[],
+            light,
+            physical,
+            radiance,
+            buffers,
+        }
     }
 
     /// Sets the weights to zero of pixels that are false in `counted`.

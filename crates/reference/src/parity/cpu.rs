@@ -20,7 +20,7 @@ pub fn cpu_result(case: &ParityCase<'_>) -> ParityResult {
         ..AttributeSource::new(&model.gaussians, &model.prototypes, &model.shading)
     };
     let sh_degree = model.gaussians.visibility_degree();
-    let shader = SurfaceShader { tables: &tables, options: &model.shading, sh_degree };
+    let shader = SurfaceShader { tables: &tables, options: &model.shading, sh_degree, range: case.range };
     let source = source.under(shader);
     let channels = Channels::Full(model.gaussians.width(Field::Visibility));
     let pass =

@@ -84,6 +84,7 @@ pub fn gpu_result(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, Devi
     let shading = Shading {
         options,
         background: case.background,
+        range: case.range,
         light: light.light.clone(),
         constants: Constants::upload(gpu)?,
     };

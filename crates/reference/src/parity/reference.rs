@@ -16,6 +16,7 @@ fn options(case: &ParityCase<'_>) -> Options {
         .then(|| Gathered { irradiance: wide(&half(0)), radiance: wide(&half(3)) });
     Options {
         background: case.background.map(f64::from),
+        range: case.range,
         gathered,
         arriving: (!case.arriving.is_empty()).then(|| wide(case.arriving)),
         ..Options::model(case.model.shading, case.light.tables.clone())

@@ -10,7 +10,7 @@ use relume_reference::{
     Array, Arrays, Options, ReferenceModel, TableOperators, Tape, Target, forward, objective,
 };
 use relume_scene::light::{DAYLIGHT, EnvOperators, LightColour, TableResolution};
-use relume_scene::{Camera, Field, Model, ShadingOptions};
+use relume_scene::{Camera, DisplayRange, Field, Model, ShadingOptions};
 
 use super::parity::{BACKGROUND, GAUSSIANS, Noise, SIZE, as_arrays, camera, distance, model, wide};
 
@@ -67,7 +67,7 @@ fn photograph(camera: &Camera, seed: u64) -> (Photo, Vec<f32>) {
     let pixels = (0..count).map(|_| [unit(), unit(), unit()]).collect();
     let alpha = (0..count).map(|_| unit()).collect();
     (
-        Photo { camera: *camera, pixels, alpha, light: Default::default() },
+        Photo { camera: *camera, pixels, alpha, light: Default::default(), range: DisplayRange::Unit },
         (0..GAUSSIANS * 25).map(|_| unit()).collect(),
     )
 }
@@ -75,7 +75,8 @@ fn photograph(camera: &Camera, seed: u64) -> (Photo, Vec<f32>) {
 fn reference_result(model: &Model, photo: &Photo, probes: &[f32]) -> (f64, Arrays) {
     let tape = Tape::new();
     let tables = TableOperators::new(32, 16, TableResolution::TRAINING);
-    let options = Options { background: BACKGROUND.map(f64::from), ..Options::model(model.shading, tables) };
+    let background = BACKGROUND.map(f64::from);
+    let options = Options { background, range: photo.range, ..Options::model(model.shading, tables) };
     let pass = forward(&tape, &ReferenceModel::from_model(model), &photo.camera, &options);
     let [width, height] = [SIZE.0, SIZE.1].map(|n| n as usize);
     let floats = |v: &[f32]| v.iter().map(|v| f64::from(*v)).collect();

@@ -10,8 +10,8 @@ use relume_reference::parity::{LightShape, ParityCase, ParityResult, cpu_result,
 use relume_reference::{Array, Arrays, ENVIRONMENT, PROTOTYPES, Probes, ReferenceModel};
 use relume_scene::light::TableResolution;
 use relume_scene::{
-    Camera, DiffuseForm, Field, Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model, NormalForm, ShadeAt,
-    ShadingOptions, SplitLight, VisibilityForm, texel_directions,
+    Camera, DiffuseForm, DisplayRange, Field, Gaussians, IndirectForm, LightSplit, MAX_LIGHTS, Model,
+    NormalForm, ShadeAt, ShadingOptions, SplitLight, VisibilityForm, texel_directions,
 };
 
 pub(super) const GAUSSIANS: usize = 40;
@@ -244,6 +244,29 @@ fn cpu_engine_matches_the_reference_without_visibility() {
         ..ShadingOptions::default()
     };
     engines_agree("open", shading);
+}
+
+#[test]
+fn cpu_engine_matches_the_reference_above_white() {
+    for (seed, shade_at) in [(1, ShadeAt::Gaussian), (2, ShadeAt::Pixel)] {
+        let mut model = model(seed, ShadingOptions { shade_at, ..ShadingOptions::default() });
+        // Light that is several times as bright.
+        model.env_raw.iter_mut().for_each(|raw| *raw = raw.map(|v| v + 12.0));
+        let camera = camera(seed);
+        let case = |range| ParityCase { range, ..ParityCase::new(&model, &camera, BACKGROUND, &LIGHT, seed) };
+        let extended = case(DisplayRange::Extended);
+        let [cpu, reference] = [cpu_result(&extended), reference_result(&extended)];
+        let error = image_error(&cpu.physical, &reference.physical);
+        assert!(error < TOLERANCE_VALUE, "{shade_at:?}: {error:e}");
+        for (parameter, theirs) in &reference.gradients {
+            let worst = distance(&cpu.gradients[parameter], theirs);
+            println!("above white {shade_at:?} {parameter:14} {worst:.1e}");
+            assert!(worst < TOLERANCE_GRADIENT, "{shade_at:?} {parameter}: {worst:e}");
+        }
+        assert!(worst(reference.physical.iter().flatten().copied()) > 1.5, "the case has pixels above white");
+        let clipped = cpu_result(&case(DisplayRange::Unit));
+        assert!(image_error(&clipped.physical, &reference.physical) > 0.1, "the control");
+    }
 }
 
 #[test]

@@ -203,7 +203,8 @@ fn discs(hidden: &[usize]) -> (TrainState, Photo) {
     let view = RasterCamera::new(&camera, &options);
     let pass = Pass::forward(&source, view, Channels::Colour, EarlyStop::WhenSaturated);
     let pixels = radiance_image(&pass, [1.0; 3]);
-    (state, Photo { camera, pixels, alpha: Vec::new(), light: Default::default() })
+    let range = relume_scene::DisplayRange::Unit;
+    (state, Photo { camera, pixels, alpha: Vec::new(), light: Default::default(), range })
 }
 
 #[test]

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use cache::PhotoCache;
 use relume_capture::{Capture, CaptureView};
 use relume_engine::{LightRotation, LightRotations, Photo, PhotoSize};
-use relume_scene::Camera;
+use relume_scene::{Camera, DisplayRange};
 use relume_spec::training::TrainConfig;
 use stored_photo::StoredPhoto;
 
@@ -45,6 +45,8 @@ pub struct Dataset {
     pub has_alpha: bool,
     /// Names of the photographs.
     pub names: Vec<String>,
+    /// Range of the photographs: `Extended` if one of them is scene-referred with values above 1.
+    pub range: DisplayRange,
 }
 
 impl Dataset {
@@ -58,18 +60,20 @@ impl Dataset {
         let background = if has_alpha { WHITE } else { [0.0; 3] };
         let degrees = |view: &CaptureView| if config.light_rotations { view.light_rotation_deg } else { 0.0 };
         let (rotations, lights) = LightRotations::of(&capture.train.iter().map(degrees).collect::<Vec<_>>());
+        let ranges = capture.train.iter().map(|view| view.image.range());
+        let range = ranges.fold(DisplayRange::Unit, DisplayRange::union);
         let photo = |(view, light): (&CaptureView, &LightRotation)| {
             let sizes = [2, 1].map(|divisor| reduced_size(view, config.resolution, divisor));
             let camera =
                 |(width, height)| view.camera.resized(width, height).in_normalised_world(scale, offset);
             let image = view.image.resized(sizes[1].0, sizes[1].1);
             let (cameras, light, mask, gains) = (sizes.map(camera), *light, None, Vec::new());
-            Arc::new(StoredPhoto { image, cameras, light, mask, gains, background, has_alpha })
+            Arc::new(StoredPhoto { image, cameras, light, mask, gains, background, has_alpha, range })
         };
         let photos: Vec<_> = capture.train.par_iter().zip(&lights).map(photo).collect();
         let names = capture.train.iter().map(|view| view.name.clone()).collect();
         let cache = PhotoCache::new(cache_bytes(photos.iter().map(|p| p.decoded_bytes(PhotoSize::Full))));
-        Self { photos, cache, scale, offset, background, rotations, has_alpha, names }
+        Self { photos, cache, scale, offset, background, rotations, has_alpha, names, range }
     }
 
     /// Opaque photographs with the pixels of a test, at 16 bits.
@@ -83,7 +87,8 @@ impl Dataset {
             let half = camera.resized(camera.width.div_ceil(2), camera.height.div_ceil(2));
             let (mask, gains, background) = (None, Vec::new(), WHITE);
             let (cameras, light, has_alpha) = ([half, *camera], *light, false);
-            Arc::new(StoredPhoto { image, cameras, light, mask, gains, background, has_alpha })
+            let range = DisplayRange::Unit;
+            Arc::new(StoredPhoto { image, cameras, light, mask, gains, background, has_alpha, range })
         };
         Self {
             photos: photos.iter().map(stored).collect(),
@@ -94,6 +99,7 @@ impl Dataset {
             rotations: LightRotations::default(),
             has_alpha: false,
             names: Vec::new(),
+            range: DisplayRange::Unit,
         }
     }
 

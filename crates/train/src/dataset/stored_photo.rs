@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::dataset::gain::{Gain, divide};
 use relume_engine::{LightRotation, Photo, PhotoSize};
-use relume_scene::{Camera, ImageRgba, PackedImage};
+use relume_scene::{Camera, DisplayRange, ImageRgba, PackedImage};
 
 /// A photograph at the configured resolution: its integer pixels, and the operations that are applied when it is
 /// decoded.
@@ -24,6 +24,8 @@ pub struct StoredPhoto {
     pub background: [f32; 3],
     /// Whether decoded photographs include alpha.
     pub has_alpha: bool,
+    /// Range of all photographs of the capture.
+    pub range: DisplayRange,
 }
 
 /// Bytes per pixel of a decoded photograph: three floats, and a fourth for a mask.
@@ -51,7 +53,8 @@ impl StoredPhoto {
 
     /// The photograph at `size` without its pixels.
     pub fn without_pixels(&self, size: PhotoSize) -> Photo {
-        Photo { camera: *self.camera(size), pixels: Vec::new(), alpha: Vec::new(), light: self.light }
+        let (camera, light, range) = (*self.camera(size), self.light, self.range);
+        Photo { camera, pixels: Vec::new(), alpha: Vec::new(), light, range }
     }
 
     /// The decoded photograph at `size`, for a step.
@@ -116,6 +119,7 @@ mod tests {
             gains: Vec::new(),
             background,
             has_alpha,
+            range: DisplayRange::Unit,
         }
     }
 

@@ -123,7 +123,7 @@ impl RowPainter<'_> {
         let layers = ViewLayers::render(self.renderer, &camera, light, self.quality).map_err(failed)?;
         let has_materials = self.renderer.model().has_materials();
         let novel = if has_materials { &layers.shaded } else { &layers.radiance };
-        let taken = photograph(&view.image.decoded());
+        let taken = photograph(&view.image.shown());
         let error = self.error(&taken, novel, &layers.alpha);
         let mut cells = vec![(Some(taken), None), (Some(novel.clone()), None), (Some(error), None)];
         for (name, light) in &self.lights {

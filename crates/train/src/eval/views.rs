@@ -109,10 +109,10 @@ pub fn photograph(image: &ImageRgba) -> DisplayImage {
     Plane { width: image.width, height: image.height, values: image.over([1.0; 3]) }
 }
 
-/// The part of a photograph that `model` represents, on white: for a model with a crop, the part that its `alpha`
-/// covers.
+/// The part of a photograph that `model` represents, on white and clipped at 1, as the model's images are: for a model with a
+/// crop, the part that its `alpha` covers.
 pub(crate) fn shown_by(model: &Model, view: &CaptureView, alpha: &[f32]) -> DisplayImage {
-    shown_part(model, photograph(&view.image.decoded()), alpha)
+    shown_part(model, photograph(&view.image.shown()), alpha)
 }
 
 /// The part of a photograph on white that `model` represents, as [`shown_by`]. `alpha` has the size of the photograph.

@@ -17,7 +17,7 @@ use detected_light::DetectedLight;
 use neighbours::Neighbours;
 use relume_engine::{TrainState, evaluation, fibonacci_sphere};
 use relume_scene::light::{UNOCCLUDED_SH0, sh_eval};
-use relume_scene::{Camera, Field, Gaussians, MAX_LIGHTS, SplitLight};
+use relume_scene::{Camera, DisplayRange, Field, Gaussians, MAX_LIGHTS, SplitLight};
 pub use split::{split, start};
 
 /// Number of directions of the first search.
@@ -43,7 +43,7 @@ const MIN_MOVE_GAIN: f32 = 0.01;
 const PHOTOS: usize = 12;
 /// Least number of visible pixels of a Gaussian that is used.
 const MIN_VISIBLE_PIXELS: f32 = 2.0;
-/// Linear colours with information about shading: neither black nor clipped.
+/// Linear colours with information about shading, over the peak of the range for the upper one: neither black nor clipped.
 const INFORMATIVE_RANGE: (f32, f32) = (0.01, 0.95);
 /// Lower bound of colour and irradiance before the logarithm.
 const MIN_LOG_ARGUMENT: f32 = 2e-3;
@@ -51,10 +51,16 @@ const MIN_LOG_ARGUMENT: f32 = 2e-3;
 const LINEAR_BAND: f32 = 0.488_602_5;
 
 /// Searches for at most `most` lights in a state with measured visibility. `seen`: number of pixels in which each
-/// Gaussian is visible. `previous`: lights that were found before, which move only if another position is clearly
+/// Gaussian is visible. `range`: that of the photographs. `previous`: lights that were found before, which move only if another position is clearly
 /// better.
-pub fn search(state: &TrainState, seen: &[f32], most: usize, previous: &[SplitLight]) -> Vec<DetectedLight> {
-    let scene = LightSearch::new(state, seen);
+pub fn search(
+    state: &TrainState,
+    seen: &[f32],
+    range: DisplayRange,
+    most: usize,
+    previous: &[SplitLight],
+) -> Vec<DetectedLight> {
+    let scene = LightSearch::new(state, seen, range);
     let mut found: Vec<DetectedLight> = Vec::new();
     let mut irradiance = scene.sky();
     while found.len() < most.min(MAX_LIGHTS) {
@@ -94,11 +100,12 @@ struct LightCandidate {
 }
 
 impl<'a> LightSearch<'a> {
-    fn new(state: &'a TrainState, seen: &[f32]) -> Self {
+    fn new(state: &'a TrainState, seen: &[f32], range: DisplayRange) -> Self {
         let g = &state.model.gaussians;
-        let mut colours: Vec<[f32; 3]> = (0..g.len()).map(|i| materials::colour(g, i)).collect();
+        let mut colours: Vec<[f32; 3]> = (0..g.len()).map(|i| materials::colour(g, i, range)).collect();
         let tells = |c: &[f32; 3]| {
-            c.iter().all(|v| *v < INFORMATIVE_RANGE.1) && c.iter().any(|v| *v > INFORMATIVE_RANGE.0)
+            c.iter().all(|v| *v < INFORMATIVE_RANGE.1 * range.peak())
+                && c.iter().any(|v| *v > INFORMATIVE_RANGE.0)
         };
         let used =
             (0..g.len()).filter(|i| seen[*i] > MIN_VISIBLE_PIXELS && tells(&colours[*i])).map(|i| i as u32);

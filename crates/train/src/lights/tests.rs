@@ -3,6 +3,9 @@ use relume_engine::cpu::Probes;
 use relume_engine::{ProbeSettings, srgb};
 use relume_scene::Model;
 
+/// Range of the photographs.
+const UNIT: DisplayRange = DisplayRange::Unit;
+
 /// Direction of the sun in the test scenes.
 const SUN: [f32; 3] = [0.48, 0.36, 0.8];
 
@@ -38,7 +41,7 @@ fn plate(strength: f32) -> TrainState {
     let field = probes.coefficients(4);
     state.model.gaussians.field_mut(Field::Visibility).copy_from_slice(&field);
     let sun = evaluation::arriving(&state, &[SplitLight { direction: SUN, radius: 0.0 }]);
-    let sky = LightSearch::new(&state, &from_above(&state)).sky();
+    let sky = LightSearch::new(&state, &from_above(&state), UNIT).sky();
     for i in 0..sky.len() {
         let shown = srgb((0.1 * (sky[i][0] + strength * sun[i][0] * SUN[2])).min(0.9));
         state.model.gaussians.row_mut(Field::Radiance, i).fill((shown - 0.5) / 0.282_094_8);
@@ -60,21 +63,21 @@ fn angle(a: [f32; 3], b: [f32; 3]) -> f32 {
 fn light_search_finds_the_sun_by_its_shadow_and_nothing_else() {
     let state = plate(2.0);
     let seen = from_above(&state);
-    let found = search(&state, &seen, 1, &[]);
+    let found = search(&state, &seen, UNIT, 1, &[]);
     assert_eq!(found.len(), 1);
     assert!(angle(found[0].light.direction, SUN) < 0.05, "{found:?}");
     assert!(found[0].strength.iter().all(|s| (1.0..=4.0).contains(s)), "{found:?}");
     let even = plate(0.0);
-    assert!(search(&even, &seen, 1, &[]).is_empty(), "the control: only a sky");
-    assert!(search(&state, &seen, 0, &[]).is_empty());
+    assert!(search(&even, &seen, UNIT, 1, &[]).is_empty(), "the control: only a sky");
+    assert!(search(&state, &seen, UNIT, 0, &[]).is_empty());
 }
 
 #[test]
 fn light_moves_only_for_a_clearly_better_direction() {
     let state = plate(2.0);
     let seen = from_above(&state);
-    let near = search(&state, &seen, 1, &[])[0].light;
-    assert_eq!(search(&state, &seen, 1, &[near])[0].light, near);
+    let near = search(&state, &seen, UNIT, 1, &[])[0].light;
+    assert_eq!(search(&state, &seen, UNIT, 1, &[near])[0].light, near);
     let far = SplitLight { direction: [0.0, 0.0, 1.0], radius: 0.005 };
-    assert!(angle(search(&state, &seen, 1, &[far])[0].light.direction, SUN) < 0.05);
+    assert!(angle(search(&state, &seen, UNIT, 1, &[far])[0].light.direction, SUN) < 0.05);
 }

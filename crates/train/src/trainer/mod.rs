@@ -299,12 +299,13 @@ impl Trainer {
         let colour = if self.config.light.is_some() {
             initial::colour_from_above(&state.model)
         } else {
-            let colour = known.unwrap_or_else(|| light_colour::estimate(&state.model.gaussians));
+            let colour =
+                known.unwrap_or_else(|| light_colour::estimate(&state.model.gaussians, self.data.range));
             initial::light_of_colour(&mut state.model, colour);
             colour
         };
         self.schedule.light_colour = Some(colour);
-        materials::initialise(state, colour);
+        materials::initialise(state, colour, self.data.range);
     }
 
     /// Divides photographs by their gains if these differ.
@@ -339,7 +340,7 @@ impl Trainer {
         }
         let seen = lights::seen(&state, &self.data.cameras(PhotoSize::Half));
         let before = state.model.lights.lights.clone();
-        let found = lights::search(&state, &seen, most, &before);
+        let found = lights::search(&state, &seen, self.data.range, most, &before);
         self.schedule.lights = found.iter().map(|f| f.gain).collect();
         let now: Vec<SplitLight> = found.iter().map(|f| f.light).collect();
         if now == before {
@@ -368,7 +369,8 @@ impl Trainer {
         }
         let mut state = state.into_owned();
         let normals = evaluation::normals(&state);
-        materials::restart_albedo(&mut state, &self.operators, &self.data.rotations, &normals);
+        let (rotations, range) = (&self.data.rotations, self.data.range);
+        materials::restart_albedo(&mut state, &self.operators, rotations, &normals, range);
         if self.is_dielectric() {
             complexity::hold_dielectric(&mut state);
         }

@@ -7,18 +7,45 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use super::header::{check_size, damaged, kind};
 use super::jpeg_end;
 use crate::formats::colour::{self, ColourConversion, StatedColour};
-use crate::formats::{ImageFileError, exr_image, heif};
+use crate::formats::{ImageFileError, SceneLight, exr_image, heif};
 use relume_scene::{ImageRgba, srgb};
 
 /// A decoded photograph.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Photograph {
-    /// Display-encoded sRGB with straight alpha.
+    /// Display-encoded sRGB with straight alpha; colours in [`SceneLight::range`].
     pub image: ImageRgba,
     /// Width and height of the file's picture, pixels.
     pub stored: (u32, u32),
     /// The conversion of its colours to sRGB.
     pub colour: ColourConversion,
+    /// Its brightness, if it contains linear light.
+    pub light: SceneLight,
+}
+
+/// What is read from a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Reading {
+    /// The values of a mask or map, clamped to [0, 1], without regard to a colour profile.
+    Values,
+    /// A photograph: its colours are converted, and linear light above 1 is kept.
+    Photograph,
+}
+
+impl Reading {
+    /// Linear light encoded for display; NaN becomes 0.
+    fn encode(self, linear: f32) -> f32 {
+        match self {
+            Self::Values => srgb::encode(linear),
+            Self::Photograph => srgb::encode_extended(linear),
+        }
+    }
+
+    /// [`Self::encode`] of a pixel with straight alpha.
+    fn displayed(self, [r, g, b, a]: [f32; 4]) -> [f32; 4] {
+        let alpha = if a > 0.0 { a.min(1.0) } else { 0.0 };
+        [self.encode(r), self.encode(g), self.encode(b), alpha]
+    }
 }
 
 /// The values of an image file as RGBA with straight alpha, without regard to a colour profile: for masks and maps. EXR and
@@ -40,12 +67,13 @@ pub fn decode_reduced(
     max_pixels: u64,
     reduce: impl Fn((u32, u32)) -> (u32, u32),
 ) -> Result<(ImageRgba, (u32, u32)), ImageFileError> {
-    let decoded = decode_with(bytes, max_pixels, reduce, false)?;
+    let decoded = decode_with(bytes, max_pixels, reduce, Reading::Values)?;
     Ok((decoded.image, decoded.stored))
 }
 
 /// A photograph as display-encoded sRGB. The file's colour profile is converted; values outside sRGB are clipped. A file
-/// without a profile is taken as sRGB. `reduce` is that of [`decode_reduced`].
+/// without a profile is taken as sRGB. Linear light (EXR and float TIFF) is scene-referred: above 1 the curve continues, up to a
+/// radiance of [`relume_scene::SCENE_PEAK`]. `reduce` is that of [`decode_reduced`].
 ///
 /// # Errors
 /// As [`decode`]. A colour profile that cannot be used is no error: see [`Photograph::colour`].
@@ -54,30 +82,43 @@ pub fn decode_photograph(
     max_pixels: u64,
     reduce: impl Fn((u32, u32)) -> (u32, u32),
 ) -> Result<Photograph, ImageFileError> {
-    decode_with(bytes, max_pixels, reduce, true)
+    decode_with(bytes, max_pixels, reduce, Reading::Photograph)
 }
 
 fn decode_with(
     bytes: &[u8],
     max_pixels: u64,
     reduce: impl Fn((u32, u32)) -> (u32, u32),
-    converts: bool,
+    reading: Reading,
 ) -> Result<Photograph, ImageFileError> {
     check_size(bytes, max_pixels)?;
     if exr_image::is_exr(bytes) {
         let (width, height, linear) = exr_image::decode_rgba(bytes)?;
         let stored = (width, height);
-        let pixel = |i: usize| displayed(straightened(linear[i]));
+        let pixel = |i: usize| reading.displayed(straightened(linear[i]));
         let image = ImageRgba::reduced(stored, reduce(stored), pixel);
-        return Ok(Photograph { image, stored, colour: ColourConversion::None });
+        let light = SceneLight::of(linear.iter().map(|pixel| straightened(*pixel)));
+        return Ok(Photograph { image, stored, colour: ColourConversion::None, light });
     }
     let (mut image, stated) = decode_dynamic(bytes, max_pixels)?;
-    let colour = match stated.filter(|_| converts) {
+    let colour = match stated.filter(|_| reading == Reading::Photograph) {
         Some(stated) => colour::convert(&mut image, &stated),
         None => ColourConversion::None,
     };
     let stored = (image.width(), image.height());
-    Ok(Photograph { image: reduced(&image, stored, reduce(stored)), stored, colour })
+    let light = light(&image);
+    Ok(Photograph { image: reduced(&image, stored, reduce(stored), reading), stored, colour, light })
+}
+
+/// The brightness of linear light, which images of floating-point values contain.
+fn light(image: &DynamicImage) -> SceneLight {
+    match image {
+        DynamicImage::ImageRgb32F(image) => {
+            SceneLight::of(image.as_chunks::<3>().0.iter().map(|&[r, g, b]| [r, g, b, 1.0]))
+        }
+        DynamicImage::ImageRgba32F(image) => SceneLight::of(image.as_chunks::<4>().0.iter().copied()),
+        _ => SceneLight::default(),
+    }
 }
 
 /// Decodes a file in the type of its values. Also returns the colour space that it states.
@@ -109,7 +150,7 @@ fn decode_dynamic(
 }
 
 /// `image` resized from `stored` to `size`.
-fn reduced(image: &DynamicImage, stored: (u32, u32), size: (u32, u32)) -> ImageRgba {
+fn reduced(image: &DynamicImage, stored: (u32, u32), size: (u32, u32), reading: Reading) -> ImageRgba {
     use DynamicImage as D;
     fn unit8(v: u8) -> f32 {
         f32::from(v) / 255.0
@@ -137,19 +178,13 @@ fn reduced(image: &DynamicImage, stored: (u32, u32), size: (u32, u32)) -> ImageR
         D::ImageLumaA16(image) => of(&|i| pixel::<_, 2>(image, i, unit16)),
         D::ImageRgb16(image) => of(&|i| pixel::<_, 3>(image, i, unit16)),
         D::ImageRgba16(image) => of(&|i| pixel::<_, 4>(image, i, unit16)),
-        D::ImageRgb32F(image) => of(&|i| displayed(pixel::<_, 3>(image, i, |v| v))),
-        D::ImageRgba32F(image) => of(&|i| displayed(pixel::<_, 4>(image, i, |v| v))),
+        D::ImageRgb32F(image) => of(&|i| reading.displayed(pixel::<_, 3>(image, i, |v| v))),
+        D::ImageRgba32F(image) => of(&|i| reading.displayed(pixel::<_, 4>(image, i, |v| v))),
         other => {
             let image = other.to_rgba32f();
             of(&|i| pixel::<_, 4>(&image, i, |v| v))
         }
     }
-}
-
-/// Linear light encoded for display; NaN becomes 0.
-fn displayed([r, g, b, a]: [f32; 4]) -> [f32; 4] {
-    let alpha = if a > 0.0 { a.min(1.0) } else { 0.0 };
-    [srgb::encode(r), srgb::encode(g), srgb::encode(b), alpha]
 }
 
 /// Straight alpha from premultiplied, which EXR uses by convention. Alpha above 1 becomes 1; negative alpha and NaN

@@ -6,7 +6,7 @@ use image::{ExtendedColorType, ImageEncoder};
 
 use super::*;
 use crate::formats::ImageFileError;
-use relume_scene::{BitDepth, ImageRgba, srgb};
+use relume_scene::{BitDepth, DisplayRange, ImageRgba, srgb};
 
 fn gradient() -> ImageRgba {
     let pixels =
@@ -73,6 +73,13 @@ fn integer_tiff_is_display_encoded_and_float_tiff_is_linear() {
     let back = decode(&tiff(1, 1, &light, ExtendedColorType::Rgb32F), 1).unwrap().pixels[0];
     assert_eq!([back[0], back[2], back[3]], [srgb::encode(0.5), 0.0, 1.0], "linear light, encoded");
     assert!(back[1] <= 1.0 && back[1] > 0.999_999, "and clamped: {}", back[1]);
+    let photo = decode_photograph(&tiff(1, 1, &light, ExtendedColorType::Rgb32F), 1, |size| size).unwrap();
+    assert_eq!(
+        photo.image.pixels[0],
+        [srgb::encode(0.5), srgb::encode_extended(7.0), 0.0, 1.0],
+        "a photograph is not"
+    );
+    assert_eq!((photo.light.range, photo.light.limited), (DisplayRange::Extended, 0.0));
 }
 
 #[test]

@@ -28,7 +28,7 @@ use crate::{
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::LightTables;
-use relume_scene::{Illumination, IndirectForm, Output, ShadingOptions, SplitLight};
+use relume_scene::{DisplayRange, Illumination, IndirectForm, Output, ShadingOptions, SplitLight};
 
 /// Smallest number of pixels per thread when a frame is unpacked.
 const SPLIT: usize = 1 << 14;
@@ -142,6 +142,7 @@ impl GpuFrameRenderer {
         Shading {
             options: self.options,
             background: [0.0; 3],
+            range: DisplayRange::Unit,
             light: light.clone(),
             constants: self.constants.clone(),
         }

@@ -3,9 +3,10 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::gpu::{Buffer, CameraUniform, PhotoPixel, Recorder, shaders, uniform};
+use crate::gpu::{Buffer, CameraUniform, DevicePhoto, Recorder, shaders, uniform};
 use crate::{ImageWeights, StepWeights, SurfaceWeights};
 use relume_layout::channel::Channels;
+use relume_scene::DisplayRange;
 
 #[cfg(test)]
 mod tests;
@@ -21,8 +22,9 @@ struct ImageTermUniform {
     scale: f32,
     l1: f32,
     ssim: f32,
-    pad_a: u32,
-    pad_b: u32,
+    /// Colour of the highest level of the photograph.
+    photo_white: f32,
+    pad: u32,
 }
 
 /// One branch's image term `l1 mean |I - photo| + ssim (1 - SSIM)` (Eq. 30).
@@ -33,7 +35,7 @@ pub struct ImageTerm<'a> {
     /// The rendered image, rgb.
     pub image: &'a Buffer<[f32; 4]>,
     /// The photograph, rgb and mask.
-    pub photo: &'a Buffer<PhotoPixel>,
+    pub photo: &'a DevicePhoto,
     /// The first of the branch's three slots: `PhysicalL1` or `RadianceL1`.
     pub slot: LossSlot,
     /// Weights of its two parts.
@@ -51,15 +53,25 @@ impl ImageTerm<'_> {
             scale: 1.0 / (3 * self.camera.n_pixels).max(1) as f32,
             l1: self.weights.l1,
             ssim: self.weights.ssim,
-            pad_a: 0,
-            pad_b: 0,
+            photo_white: self.photo.range.white(),
+            pad: 0,
         };
         let groups = self.camera.tile_groups();
-        let bindings =
-            [uniform(&term), self.image.into(), self.photo.into(), self.partials.into(), losses.into()];
+        let bindings = [
+            uniform(&term),
+            self.image.into(),
+            (&self.photo.pixels).into(),
+            self.partials.into(),
+            losses.into(),
+        ];
         recorder.dispatch(&shaders::SSIM, groups, &bindings);
-        let bindings =
-            [uniform(&term), self.image.into(), self.photo.into(), self.partials.into(), by_image.into()];
+        let bindings = [
+            uniform(&term),
+            self.image.into(),
+            (&self.photo.pixels).into(),
+            self.partials.into(),
+            by_image.into(),
+        ];
         recorder.dispatch(&shaders::SSIM_BACKWARD, groups, &bindings);
     }
 }
@@ -73,12 +85,14 @@ struct SurfaceTermsUniform {
     /// 1 / number of horizontal neighbour pairs; the next member is the same for vertical pairs.
     across: f32,
     down: f32,
-    /// Weights of smoothness: metalness, roughness, each channel of the normal, unused.
-    smoothness: [f32; 4],
+    /// Weights of smoothness: metalness, roughness, each channel of the normal.
+    smoothness: [f32; 3],
+    /// Colour of the highest level of the photograph.
+    photo_white: f32,
 }
 
 impl SurfaceTermsUniform {
-    fn new(weights: &SurfaceWeights, [w, h]: [u32; 2]) -> Self {
+    fn new(weights: &SurfaceWeights, [w, h]: [u32; 2], range: DisplayRange) -> Self {
         let [metal, rough, normal] = weights.smoothness;
         let share = |weight: f32, count: u32| if w < 2 || h < 2 { 0.0 } else { weight / count as f32 };
         Self {
@@ -86,7 +100,8 @@ impl SurfaceTermsUniform {
             depth_normal: share(weights.depth_normal, w * h),
             across: share(1.0, w.saturating_sub(1) * h),
             down: share(1.0, w * h.saturating_sub(1)),
-            smoothness: [metal, rough, normal / 3.0, 0.0],
+            smoothness: [metal, rough, normal / 3.0],
+            photo_white: range.white(),
         }
     }
 }
@@ -98,7 +113,7 @@ pub fn surface_terms(
     camera: &CameraUniform,
     channels: Channels,
     weights: &SurfaceWeights,
-    photo: &Buffer<PhotoPixel>,
+    photo: &DevicePhoto,
     [gbuffer, by_buffers]: [&Buffer<[f32; 4]>; 2],
     losses: &Buffer<f32>,
 ) {
@@ -107,9 +122,15 @@ pub fn surface_terms(
         Channels::Geometry => &shaders::SURFACE_TERMS_GEOMETRY,
         Channels::Material | Channels::Full(_) => &shaders::SURFACE_TERMS_MATERIAL,
     };
-    let terms = SurfaceTermsUniform::new(weights, camera.size);
-    let bindings =
-        [uniform(camera), uniform(&terms), gbuffer.into(), photo.into(), by_buffers.into(), losses.into()];
+    let terms = SurfaceTermsUniform::new(weights, camera.size, photo.range);
+    let bindings = [
+        uniform(camera),
+        uniform(&terms),
+        gbuffer.into(),
+        (&photo.pixels).into(),
+        by_buffers.into(),
+        losses.into(),
+    ];
     recorder.dispatch(kernel, camera.tile_groups(), &bindings);
 }
 

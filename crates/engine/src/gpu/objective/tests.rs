@@ -3,14 +3,18 @@
 use super::*;
 use crate::RasterCamera;
 use crate::cpu::Pass;
+use crate::cpu::objective::image::Target;
 use crate::gpu::shaders::assert_layout;
 use crate::gpu::shading::tests::{Noise, camera_view, empty_pass, planar_gbuffer, set};
 use crate::gpu::{Gpu, photo_pixel};
 use relume_compare::relative_error;
 use relume_layout::channel;
-use relume_scene::ShadingOptions;
+use relume_scene::{DisplayRange, ShadingOptions};
 
 type Rgb = [f64; 3];
+
+/// Weights of the image term.
+const WEIGHTS: ImageWeights = ImageWeights { l1: 0.7, ssim: 0.4 };
 
 /// Mean absolute error, mean squared error and mean SSIM, with the window as one 2D kernel.
 fn image_means(w: usize, h: usize, image: &[Rgb], photo: &[Rgb]) -> [f64; 3] {
@@ -56,8 +60,9 @@ fn uploaded(gpu: &Gpu, pixels: &[Rgb]) -> Buffer<[f32; 4]> {
     gpu.upload("pixels", &rows(pixels, &[]).collect::<Vec<_>>()).unwrap()
 }
 
-fn uploaded_photo(gpu: &Gpu, pixels: &[Rgb], mask: &[f32]) -> Buffer<PhotoPixel> {
-    gpu.upload("a photograph", &rows(pixels, mask).map(photo_pixel).collect::<Vec<_>>()).unwrap()
+fn uploaded_photo(gpu: &Gpu, pixels: &[Rgb], mask: &[f32], range: DisplayRange) -> DevicePhoto {
+    let packed: Vec<_> = rows(pixels, mask).map(|pixel| photo_pixel(pixel, range)).collect();
+    DevicePhoto { pixels: gpu.upload("a photograph", &packed).unwrap(), range }
 }
 
 /// The nearest level of a photograph on the device.
@@ -69,23 +74,17 @@ fn picture(noise: &mut Noise, n: usize) -> Vec<Rgb> {
     (0..n).map(|_| noise.rgb(0.0, 1.0).map(level)).collect()
 }
 
-fn on_device(gpu: &Gpu, view: &RasterCamera, image: &[Rgb], photo: &[Rgb]) -> ([f32; 3], Vec<f32>) {
+/// Absolute error, squared error and SSIM, and the gradient by the image.
+fn on_device(gpu: &Gpu, view: &RasterCamera, image: &[Rgb], photo: &DevicePhoto) -> ([f32; 3], Vec<f32>) {
     let (view, n) = (CameraUniform::new(view), image.len());
-    let (image, photo) = (uploaded(gpu, image), uploaded_photo(gpu, photo, &[]));
+    let image = uploaded(gpu, image);
     let losses = gpu.buffer("losses", LOSS_SLOTS).unwrap();
     let partials = gpu.buffer("partials", 3 * n).unwrap();
     let by_image = gpu.buffer("by image", n).unwrap();
     let mut recorder = gpu.record();
     recorder.clear(&losses);
     let slot = LossSlot::RadianceL1;
-    let term = ImageTerm {
-        camera: &view,
-        image: &image,
-        photo: &photo,
-        slot,
-        weights: ImageWeights { l1: 0.7, ssim: 0.4 },
-        partials: &partials,
-    };
+    let term = ImageTerm { camera: &view, image: &image, photo, slot, weights: WEIGHTS, partials: &partials };
     term.record(&mut recorder, &by_image, &losses);
     recorder.submit().unwrap();
     let losses = gpu.read(&losses, 0..LOSS_SLOTS).unwrap();
@@ -112,7 +111,8 @@ fn image_terms_and_gradients_match_the_formulas() {
             photo[w * h / 2] = [1.0, 0.0, 1.0];
             image[w * h / 2] = photo[w * h / 2];
         }
-        let (found, by_image) = on_device(&gpu, &view, &image, &photo);
+        let uploaded = uploaded_photo(&gpu, &photo, &[], DisplayRange::Unit);
+        let (found, by_image) = on_device(&gpu, &view, &image, &uploaded);
         let expected = image_means(w, h, &image, &photo);
         for k in 0..3 {
             assert!((f64::from(found[k]) - expected[k]).abs() < 5e-6, "{w}x{h} {k}: {found:?} {expected:?}");
@@ -136,6 +136,28 @@ fn image_terms_and_gradients_match_the_formulas() {
         analytic[0] += 1e-3 * numeric.iter().fold(0.0f32, |m, v| m.max(v.abs()));
         assert!(relative_error(&analytic, &numeric) > 1e-4, "the control");
     }
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn image_terms_of_scene_referred_photographs_match_the_cpu() {
+    let (gpu, (w, h)) = (Gpu::for_tests(), (37, 21));
+    let mut noise = Noise::new(5);
+    let white = f64::from(DisplayRange::Extended.white());
+    let view = camera_view((w as u32, h as u32), &ShadingOptions::default());
+    let [photo, image] = [0, 1].map(|_| -> Vec<Rgb> {
+        picture(&mut noise, w * h).iter().map(|p| p.map(|v| f64::from((v * white) as f32))).collect()
+    });
+    let floats = |pixels: &[Rgb]| -> Vec<[f32; 3]> { pixels.iter().map(|p| p.map(|v| v as f32)).collect() };
+    let target = floats(&photo);
+    let expected = Target::new(w, h, &target).compare(&floats(&image), WEIGHTS);
+    let of = |range| on_device(&gpu, &view, &image, &uploaded_photo(&gpu, &photo, &[], range));
+    let (found, by_image) = of(DisplayRange::Extended);
+    assert!((found[1] / expected.mse - 1.0).abs() < 1e-4, "{found:?} {}", expected.mse);
+    let error = relative_error(&by_image, expected.gradient.as_flattened());
+    assert!(error < 1e-3, "{error}");
+    let (clipped, _) = of(DisplayRange::Unit);
+    assert!((clipped[1] / expected.mse - 1.0).abs() > 0.1, "the control: {clipped:?}");
 }
 
 /// A G-buffer in f64, `[pixel][channel]` of `Material`, with the camera's rays and a photograph.
@@ -282,7 +304,7 @@ fn surface_on_device(
     let uniform = CameraUniform::new(view);
     let pass = buffers.pass(*view, channels);
     let gbuffer = gpu.upload("gbuffer", &planar_gbuffer(&pass, &pass.gbuffer, channels)).unwrap();
-    let photo = uploaded_photo(gpu, &buffers.photo, &buffers.mask);
+    let photo = uploaded_photo(gpu, &buffers.photo, &buffers.mask, DisplayRange::Unit);
     let by_buffers = gpu.buffer("by buffers", 2 * uniform.pixels()).unwrap();
     let losses = gpu.buffer("losses", LOSS_SLOTS).unwrap();
     let mut recorder = gpu.record();
@@ -395,7 +417,8 @@ fn images_one_pixel_wide_or_high_have_only_the_coverage_term() {
 
 #[test]
 fn uniforms_are_laid_out_as_the_shaders_read_them() {
-    assert_layout!(ImageTermUniform as "ImageTerm" in shaders::SSIM; size, first_slot, scale, l1, ssim, pad_a, pad_b);
+    assert_layout!(ImageTermUniform as "ImageTerm" in shaders::SSIM; size, first_slot, scale, l1, ssim,
+        photo_white, pad);
     assert_layout!(SurfaceTermsUniform as "SurfaceTerms" in shaders::SURFACE_TERMS_COLOUR; coverage, depth_normal,
-        across, down, smoothness);
+        across, down, smoothness, photo_white);
 }

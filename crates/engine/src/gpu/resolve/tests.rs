@@ -9,7 +9,7 @@ use crate::linear_from_srgb;
 use relume_compare::relative_error;
 use relume_layout::channel::{self, OutgoingRadiance};
 use relume_layout::constants::MIN_COVERAGE;
-use relume_scene::{DiffuseForm, ShadeAt, ShadingOptions, VisibilityForm};
+use relume_scene::{DiffuseForm, DisplayRange, ShadeAt, ShadingOptions, VisibilityForm};
 
 const ALL: [Output; 11] = [
     Output::Rgb,
@@ -79,12 +79,14 @@ fn resolved(
     let mut noise = Noise::new(seed);
     let pass = random_pass(&mut noise, (37, 21), sh_degree, options);
     let tables = random_tables(&mut noise, sh_degree);
-    let shader = SurfaceShader { tables: &tables, options, sh_degree };
+    let range = DisplayRange::Unit;
+    let shader = SurfaceShader { tables: &tables, options, sh_degree, range };
     let view = CameraUniform::new(&pass.view);
     let gbuffer = gpu.upload("gbuffer", &planar_gbuffer(&pass, &pass.gbuffer, pass.channels)).unwrap();
     let shading = Shading {
         options: *options,
         background: [0.0; 3],
+        range,
         light: LightBuffers::upload(gpu, &tables, sh_degree, &[[0.0; 3]; 16]).unwrap(),
         constants: Constants::upload(gpu).unwrap(),
     };

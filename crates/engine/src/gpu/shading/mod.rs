@@ -9,7 +9,7 @@ use crate::gpu::permutations::{by_coefficients, groups};
 use crate::gpu::shaders::{self, Kernel};
 use crate::gpu::{Bind, Buffer, CameraUniform, Gpu, Groups, Recorder, uniform};
 use relume_layout::channel::Channels;
-use relume_scene::ShadingOptions;
+use relume_scene::{DisplayRange, ShadingOptions};
 
 #[cfg(test)]
 pub(super) mod tests;
@@ -30,15 +30,16 @@ struct ShadingUniform {
     pub srgb: u32,
     /// 1: the diffuse term has the share of the light that the highlight leaves.
     pub conserves_energy: u32,
-    pad_a: u32,
+    /// Radiance at which display values end.
+    pub peak: f32,
     pad_b: u32,
     pad_c: u32,
 }
 
 impl ShadingUniform {
-    /// The forward model `options` over a display-referred `background`.
-    pub fn new(options: &ShadingOptions, background: [f32; 3]) -> Self {
-        let [r, g, b] = background;
+    /// The forward model of `shading`.
+    pub fn new(shading: &Shading) -> Self {
+        let ([r, g, b], options) = (shading.background, &shading.options);
         Self {
             background: [r, g, b, 0.0],
             visibility_form: visibility_code(options.visibility),
@@ -46,7 +47,7 @@ impl ShadingUniform {
             shade_at: shade_at_code(options.shade_at),
             srgb: u32::from(options.srgb),
             conserves_energy: u32::from(options.conserves_energy),
-            pad_a: 0,
+            peak: shading.range.peak(),
             pad_b: 0,
             pad_c: 0,
         }
@@ -63,28 +64,32 @@ struct CompositeUniform {
     srgb: u32,
     /// Number of groups of the G-buffer gradient of a pass of shaded Gaussians.
     n_groups: u32,
-    pad: u32,
+    /// Radiance at which display values end.
+    peak: f32,
 }
 
 impl CompositeUniform {
     /// For the radiance branch alone.
     fn new(camera: &CameraUniform, [r, g, b]: [f32; 3]) -> Self {
         let background = [r, g, b, 0.0];
-        Self { background, n_pixels: camera.n_pixels, srgb: 0, n_groups: 0, pad: 0 }
+        // The radiance branch blends display values, which have no peak.
+        Self { background, n_pixels: camera.n_pixels, srgb: 0, n_groups: 0, peak: 0.0 }
     }
 
     /// For both branches of shaded Gaussians.
     fn shaded(camera: &CameraUniform, shading: &Shading, n_groups: u32) -> Self {
-        Self { srgb: u32::from(shading.options.srgb), n_groups, ..Self::new(camera, shading.background) }
+        let (srgb, peak) = (u32::from(shading.options.srgb), shading.range.peak());
+        Self { srgb, n_groups, peak, ..Self::new(camera, shading.background) }
     }
 }
 
-/// One image per branch, or their gradients: rgb per pixel, the fourth member unused.
+/// One image per branch, or their gradients: rgb per pixel, display values in the range of the photographs; the fourth member is
+/// unused.
 #[derive(Debug, Clone)]
 pub struct Images {
-    /// Physically based branch, display-referred.
+    /// Physically based branch.
     pub physical: Buffer<[f32; 4]>,
-    /// Radiance branch, display-referred.
+    /// Radiance branch.
     pub radiance: Buffer<[f32; 4]>,
 }
 
@@ -108,6 +113,8 @@ pub struct Shading {
     pub options: ShadingOptions,
     /// Background behind the images, display-referred.
     pub background: [f32; 3],
+    /// Range of the display values of the images.
+    pub range: DisplayRange,
     /// Tables of the light, for visibility of the surfaces' degree.
     pub light: LightBuffers,
     /// Tables of the reflectance model.
@@ -131,7 +138,7 @@ impl Shading {
     ) {
         let mut bindings = vec![
             uniform(camera),
-            uniform(&ShadingUniform::new(&self.options, self.background)),
+            uniform(&ShadingUniform::new(self)),
             uniform(&self.light.layout),
             (&self.constants.buffer).into(),
             (&self.light.values).into(),

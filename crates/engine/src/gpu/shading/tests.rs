@@ -128,6 +128,7 @@ struct ShadingCase {
     options: ShadingOptions,
     sh_degree: usize,
     background: [f32; 3],
+    range: DisplayRange,
 }
 
 struct Results {
@@ -141,11 +142,13 @@ impl ShadingCase {
         let mut noise = Noise::new(seed);
         let pass = random_pass(&mut noise, size, sh_degree, &options);
         let tables = random_tables(&mut noise, sh_degree);
-        Self { gpu: gpu.clone(), pass, tables, options, sh_degree, background: [0.2, 0.5, 0.9] }
+        let (background, range) = ([0.2, 0.5, 0.9], DisplayRange::Unit);
+        Self { gpu: gpu.clone(), pass, tables, options, sh_degree, background, range }
     }
 
     fn cpu(&self) -> SurfaceShader<'_> {
-        SurfaceShader { tables: &self.tables, options: &self.options, sh_degree: self.sh_degree }
+        let Self { tables, options, sh_degree, range, .. } = self;
+        SurfaceShader { tables, options, sh_degree: *sh_degree, range: *range }
     }
 
     fn differentiated(&self, all: bool) -> Channels {
@@ -171,8 +174,8 @@ impl ShadingCase {
         let groups = self.differentiated(all).stored() / 4;
         let by_gbuffer = gpu.buffer("by gbuffer", n * groups).unwrap();
         let by_tables = gpu.buffer("by tables", light.layout.floats()).unwrap();
-        let (options, background) = (self.options, self.background);
-        let shading = Shading { options, background, light, constants };
+        let (options, background, range) = (self.options, self.background, self.range);
+        let shading = Shading { options, background, range, light, constants };
         let mut recorder = gpu.record();
         recorder.clear(&by_tables);
         let gradients = ShadeGradients {
@@ -274,6 +277,46 @@ fn shading_matches_the_cpu_engine_for_every_form() {
             assert!(physical < 2e-5 && radiance < 1e-6, "{options:?}: {physical} {radiance}");
             assert!(by_gbuffer < 1e-4 && by_tables < 1e-4, "{options:?} {all}: {by_gbuffer} {by_tables}");
         }
+    }
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn shading_matches_the_cpu_above_white() {
+    let gpu = Gpu::for_tests();
+    for (shade_at, srgb) in [
+        (ShadeAt::Pixel, true),
+        (ShadeAt::Gaussian, true),
+        (ShadeAt::Pixel, false),
+        (ShadeAt::Gaussian, false),
+    ] {
+        let options = ShadingOptions { shade_at, srgb, ..Default::default() };
+        let mut case = ShadingCase::new(&gpu, 17, (20, 12), 2, options);
+        // Light that is 30 times as bright, partly above the peak, and as much where Gaussians were shaded before blending.
+        case.tables
+            .diffuse
+            .iter_mut()
+            .chain(case.tables.specular.iter_mut().flatten().flatten())
+            .for_each(|v| *v *= 30.0);
+        if shade_at == ShadeAt::Gaussian {
+            for i in 0..240 {
+                for c in channel::OutgoingRadiance::TOTAL {
+                    let value = case.pass.at(i % 20, i / 20, c);
+                    set(&mut case.pass, i % 20, i / 20, c, 90.0 * value);
+                }
+            }
+        }
+        case.range = DisplayRange::Extended;
+        let [physical, radiance, by_gbuffer, by_tables] = errors(&case, false);
+        assert!(physical < 2e-5 && radiance < 1e-6, "{options:?}: {physical} {radiance}");
+        assert!(by_gbuffer < 1e-4 && by_tables < 1e-4, "{options:?}: {by_gbuffer} {by_tables}");
+        let shown = case.cpu().images(&case.pass, case.background).physical;
+        let brightest = worst(shown.iter().flatten().copied());
+        assert!(brightest > 2.0, "{brightest}");
+        case.range = DisplayRange::Unit;
+        let clipped = case.cpu().images(&case.pass, case.background).physical;
+        let control = largest_difference(shown.as_flattened(), clipped.as_flattened());
+        assert!(control.is_finite() && control > 1.0, "the control: {control}");
     }
 }
 
@@ -389,7 +432,7 @@ fn radiance_branch_alone_matches_the_cpu_engine() {
 #[test]
 fn uniforms_are_laid_out_as_the_shaders_read_them() {
     assert_layout!(ShadingUniform as "Shading" in shaders::SHADE_1; background, visibility_form, diffuse_form,
-        shade_at, srgb, conserves_energy, pad_a, pad_b, pad_c);
+        shade_at, srgb, conserves_energy, peak, pad_b, pad_c);
     assert_layout!(CompositeUniform as "Composite" in shaders::RADIANCE; background, n_pixels, srgb,
-        n_groups, pad);
+        n_groups, peak);
 }

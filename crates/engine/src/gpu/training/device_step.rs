@@ -1,6 +1,6 @@
 //! A training step in device memory.
 
-use crate::gpu::{Buffer, CameraUniform, PhotoPixel, ReadbackTicket, Submission};
+use crate::gpu::{CameraUniform, DevicePhoto, ReadbackTicket, Submission};
 use crate::light_rotation::LightRotation;
 use crate::{Branches, StepCounts, StepSizes, StepWeights};
 use relume_layout::channel::StepChannels;
@@ -9,7 +9,7 @@ use relume_layout::channel::StepChannels;
 #[derive(Debug, Clone)]
 pub(super) struct DeviceStep {
     pub(super) camera: CameraUniform,
-    pub(super) photo: Buffer<PhotoPixel>,
+    pub(super) photo: DevicePhoto,
     pub(super) light: LightRotation,
     pub(super) channels: StepChannels,
     pub(super) background: [f32; 3],

@@ -4,7 +4,7 @@ use crate::gpu::objective::{ImageTerm, LossSlot, surface_terms};
 use crate::gpu::raster::Blended;
 use crate::gpu::shading::Images;
 use crate::gpu::training::device_step::DeviceStep;
-use crate::gpu::{Buffer, Gpu, PhotoPixel, Recorder};
+use crate::gpu::{Buffer, DevicePhoto, Gpu, Recorder};
 use crate::{DeviceError, ImageWeights};
 use relume_layout::channel::Channels;
 
@@ -44,7 +44,7 @@ impl ImageBuffers {
         recorder: &mut Recorder<'_>,
         step: &DeviceStep,
         channels: Channels,
-        photo: &Buffer<PhotoPixel>,
+        photo: &DevicePhoto,
         frame: &Blended<'_>,
         losses: &Buffer<f32>,
     ) {

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use rayon::prelude::*;
 
-use crate::gpu::{Buffer, Gpu, PhotoPixel, photo_pixel};
+use crate::gpu::{DevicePhoto, Gpu, photo_pixel};
 use crate::{DeviceError, Photo, PhotoId, PhotoSize};
 
 /// Maximum device memory of photographs, bytes; photographs beyond it are uploaded at each step.
@@ -13,11 +13,11 @@ const PHOTO_BYTES: usize = 4 << 30;
 /// Smallest number of pixels per thread when a photograph is packed.
 const SPLIT: usize = 1 << 14;
 
-/// Pixels of one revision of a photograph.
+/// One revision of a photograph.
 #[derive(Debug)]
 struct CachedPhoto {
     revision: usize,
-    pixels: Buffer<PhotoPixel>,
+    photo: DevicePhoto,
 }
 
 /// Cache of photographs in device memory, rgb and mask per pixel.
@@ -34,9 +34,9 @@ impl DevicePhotoCache {
         self.held(id).is_some()
     }
 
-    fn held(&self, id: PhotoId) -> Option<&Buffer<PhotoPixel>> {
+    fn held(&self, id: PhotoId) -> Option<&DevicePhoto> {
         let found = self.photos.get(&(id.index, id.size)).filter(|found| found.revision == id.revision);
-        found.map(|found| &found.pixels)
+        found.map(|found| &found.photo)
     }
 
     /// The photograph in device memory; it is cached while the memory for photographs suffices. The pixels of a cached
@@ -46,7 +46,7 @@ impl DevicePhotoCache {
         gpu: &Gpu,
         id: PhotoId,
         photo: &Photo,
-    ) -> Result<Buffer<PhotoPixel>, DeviceError> {
+    ) -> Result<DevicePhoto, DeviceError> {
         if let Some(held) = self.held(id) {
             return Ok(held.clone());
         }
@@ -56,16 +56,17 @@ impl DevicePhotoCache {
         }
         let alpha = |i: usize| photo.alpha.get(i).copied().unwrap_or(1.0);
         let pixels = photo.pixels.par_iter().enumerate().with_min_len(SPLIT);
-        let pixels: Vec<_> = pixels.map(|(i, [r, g, b])| photo_pixel([*r, *g, *b, alpha(i)])).collect();
-        let buffer = gpu.upload("a photograph", &pixels)?;
+        let packed = |(i, [r, g, b]): (usize, &[f32; 3])| photo_pixel([*r, *g, *b, alpha(i)], photo.range);
+        let pixels: Vec<_> = pixels.map(packed).collect();
+        let uploaded = DevicePhoto { pixels: gpu.upload("a photograph", &pixels)?, range: photo.range };
         let bytes = size_of_val(&pixels[..]);
         let key = (id.index, id.size);
         // A photograph of another revision has the same size and is replaced.
         if self.photos.contains_key(&key) || self.bytes + bytes <= PHOTO_BYTES {
-            let cached = CachedPhoto { revision: id.revision, pixels: buffer.clone() };
+            let cached = CachedPhoto { revision: id.revision, photo: uploaded.clone() };
             let earlier = self.photos.insert(key, cached);
             self.bytes += if earlier.is_none() { bytes } else { 0 };
         }
-        Ok(buffer)
+        Ok(uploaded)
     }
 }

@@ -97,6 +97,7 @@ impl GpuTraining {
             true => FrameBranches::Both(Box::new(Shading {
                 options: self.shape.shading,
                 background: step.background,
+                range: step.photo.range,
                 light: self.light.light.clone(),
                 constants: self.constants.clone(),
             })),

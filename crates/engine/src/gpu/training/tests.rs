@@ -11,7 +11,7 @@ use crate::{
 };
 use relume_compare::{largest_difference, relative_error, worst};
 use relume_scene::light::TableResolution;
-use relume_scene::{Camera, Field, Gaussians};
+use relume_scene::{Camera, DisplayRange, Field, Gaussians};
 
 const SIZE: u32 = 40;
 const GAUSSIANS: usize = 150;
@@ -54,6 +54,7 @@ fn photos() -> Vec<Photo> {
             pixels: (0..SIZE * SIZE).map(pixel).collect(),
             alpha: Vec::new(),
             light: LightRotation::default(),
+            range: DisplayRange::Unit,
         }
     };
     (0..3).map(photo).collect()

@@ -9,7 +9,7 @@ use relume_compare::relative_error;
 use relume_layout::channel::OutgoingRadiance;
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{LightTables, TableLight};
-use relume_scene::{DiffuseForm, IndirectForm, VisibilityForm, sh_count};
+use relume_scene::{DiffuseForm, DisplayRange, IndirectForm, VisibilityForm, sh_count};
 
 /// Results of the forward and backward pass, per drawn Gaussian.
 struct Found {
@@ -62,8 +62,8 @@ impl ShadedCase {
     }
 
     fn on_cpu(&self, drawn: &[usize]) -> Found {
-        let shader =
-            SurfaceShader { tables: &self.tables, options: &self.scene.options, sh_degree: self.sh_degree };
+        let (options, range) = (&self.scene.options, DisplayRange::Unit);
+        let shader = SurfaceShader { tables: &self.tables, options, sh_degree: self.sh_degree, range };
         let source = self.scene.source().under(shader);
         let pass = Pass::forward(&source, self.scene.view, self.channels, EarlyStop::Never);
         let (count, stored) = (self.channels.count(), self.channels.stored());
@@ -91,6 +91,7 @@ impl ShadedCase {
         Shading {
             options: self.scene.options,
             background: [0.0; 3],
+            range: DisplayRange::Unit,
             light: LightBuffers::upload(gpu, &self.tables, self.sh_degree, &[[0.0; 3]; 16]).unwrap(),
             constants: Constants::upload(gpu).unwrap(),
         }
