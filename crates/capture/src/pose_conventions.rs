@@ -29,11 +29,11 @@ pub(super) fn convert(photos: &mut [PhotoEntry], points: &[Point], warnings: &mu
 
 /// Inverts world-to-camera matrices.
 ///
-/// The matrices of cameras around an object, read as camera-to-world, are cameras at almost one place that look in all directions
-/// and are rolled. A panorama gives the same picture with the readings exchanged, except that its cameras are upright as stated.
-/// Therefore all three are required: inverted, all cameras look at one point; as stated, with either kind of axes, at most
-/// [`FEW_LOOK`] do; and the inverted cameras alone see the points, or without points have a common up direction. If only the first
-/// two hold, the warning has the numbers and the remedy, and the poses stay.
+/// The matrices of cameras around an object, read as camera-to-world, are cameras at almost one place that look in directions of
+/// one fan and are rolled. The matrices of a panorama of several rows, read as world-to-camera, are rolled cameras on an arc
+/// that look at one point. Therefore all three are required: inverted, all cameras look at one point; as stated, with either kind
+/// of axes, at most [`FEW_LOOK`] do; and the inverted cameras alone see the points, or without points have a common up
+/// direction. If only the first two hold, a warning has the numbers and the remedy, and the poses stay.
 fn invert_world_to_camera(photos: &mut [PhotoEntry], points: &[Point], warnings: &mut Vec<String>) {
     let stated: Vec<DMat4> = photos.iter().map(|photo| photo.pose).collect();
     let with_other_axes: Vec<DMat4> = stated.iter().map(|pose| *pose * flip()).collect();

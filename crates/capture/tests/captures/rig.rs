@@ -132,23 +132,28 @@ fn readings(poses: &[DMat4], points: &[DVec3]) -> (bool, bool) {
 
 #[test]
 fn panorama_and_inverted_orbit_are_told_apart_or_reported() {
-    // Cameras in one place that look around level: inverted, they are an orbit around the origin.
-    let level = |i: usize| {
-        let (eye, angle) = (DVec3::new(0.0, 0.0, -2.0), i as f64);
-        let ahead = eye + DVec3::new(angle.cos(), angle.sin(), 0.0);
-        Camera::look_at(eye, ahead, DVec3::Z, 0.8, (8, 6)).unwrap().to_opengl()
+    let looking =
+        |eye: DVec3, target: DVec3| Camera::look_at(eye, target, DVec3::Z, 0.8, (8, 6)).unwrap().to_opengl();
+    let towards = |azimuth: f64, elevation: f64| {
+        DVec3::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin())
     };
-    let panorama: Vec<DMat4> = (0..12).map(level).collect();
+    let jitter = |i: usize| 0.1 * DVec3::new((i % 3) as f64, (i % 2) as f64, (i % 4) as f64);
+    let around = |i: usize| looking(3.0 * towards(i as f64, 0.2 + 0.1 * (i % 5) as f64), jitter(i)).inverse();
+    assert_eq!(
+        readings(&(0..12).map(around).collect::<Vec<_>>(), &[]),
+        (true, false),
+        "by hand, around an object"
+    );
+    // Three rows of pictures from one place: inverted, all look at the origin.
+    let eye = DVec3::new(0.0, 0.0, -2.0);
+    let turned = |i: usize| looking(eye, eye + towards(i as f64, [-0.5, 0.0, 0.5][i % 3]));
+    let panorama: Vec<DMat4> = (0..12).map(turned).collect();
     assert_eq!(readings(&panorama, &[]), (false, true), "its cameras are upright as stated");
-    let wall = |i: usize| DVec3::new((0.2 * i as f64).cos() * 4.0, (0.2 * i as f64).sin() * 4.0, -2.0);
+    let wall = |i: usize| 4.0 * towards(0.2 * i as f64, 0.0) + DVec3::Z * ((i % 5) as f64 - 4.0);
     let walls: Vec<DVec3> = (0..64).map(wall).collect();
     assert!(!readings(&panorama, &walls).0, "its cameras see the points as stated");
     // A short arc around an object: up is common in both readings, so only points decide.
-    let near = |i: usize| {
-        let angle = 0.08 * i as f64;
-        let eye = DVec3::new(3.0 * angle.cos(), 3.0 * angle.sin(), 1.0);
-        Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.8, (8, 6)).unwrap().to_opengl().inverse()
-    };
+    let near = |i: usize| looking(3.0 * towards(0.08 * i as f64, 0.3), DVec3::ZERO).inverse();
     let arc: Vec<DMat4> = (0..12).map(near).collect();
     assert_eq!(readings(&arc, &[]), (false, true));
     let object: Vec<DVec3> =
