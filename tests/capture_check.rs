@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use relume_fixtures::small_set::{Files, nerfstudio};
+use relume_fixtures::small_set::{Files, colmap, nerfstudio};
 use serde_json::json;
 use tempfile::TempDir;
 
@@ -78,4 +78,22 @@ fn check_states_the_up_axis_and_takes_another() {
     assert_eq!(refused.status.code(), Some(2));
     let picture = check(capture.path(), &["--sheet", "cameras.png"]);
     assert_eq!(picture.status.code(), Some(2), "a picture of another kind");
+}
+
+#[test]
+fn evidence_for_the_up_direction_is_a_note_and_no_hint() {
+    let text = told(&check(stored(&colmap()).path(), &[]));
+    assert!(text.contains("\nnote: up: "), "{text}");
+    assert!(!text.contains("hint: up"), "{text}");
+    assert!(text.contains("\nhint: "), "the control, photographs of 8 x 6 pixels are small: {text}");
+}
+
+#[test]
+fn training_on_an_empty_folder_says_what_to_put_there() {
+    let empty = TempDir::new().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
+    let output = command.args(["train", "--device", "cpu"]).arg(empty.path()).output().unwrap();
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!output.status.success() && text.contains("put at least 3 photographs into it"), "{text}");
+    assert!(!text.contains("`relume train`"), "{text}");
 }

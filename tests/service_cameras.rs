@@ -2,10 +2,12 @@
 
 use relume::testing;
 use relume_api::cameras::{CameraConvention, CaptureCameras};
+use relume_api::jobs::JobState;
+use relume_spec::training::UpAxis;
 use reqwest::{Method, StatusCode, header};
 use serde_json::{Value, json};
 
-use crate::service_support::{CaptureZip, trained};
+use crate::service_support::{CaptureZip, ended, small_job, trained};
 
 const CONVENTIONS: [CameraConvention; 3] =
     [CameraConvention::Opengl, CameraConvention::Opencv, CameraConvention::Colmap];
@@ -106,4 +108,38 @@ async fn cameras_have_etags_and_invalid_ones_are_refused_by_field() {
 async fn pointer(answer: reqwest::Response) -> Value {
     let problem: Value = serde_json::from_str(&answer.text().await.unwrap()).unwrap();
     problem["errors"][0]["pointer"].clone()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn cameras_for_a_model_are_in_the_world_of_that_model() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let capture = client.upload_capture_bytes(CaptureZip::new(8, 32).zip()).await.unwrap();
+    let mut request = small_job(&capture.id, 10, 5);
+    request.overrides.up = Some(UpAxis::Y);
+    let job = ended(client, &client.create_job(&request, None).await.unwrap().id).await;
+    assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
+    let model = job.model.unwrap();
+    for resource in ["cameras", "photographs"] {
+        let answer = |query: String| {
+            let path = format!("/v1/captures/{}/{resource}{query}", capture.id);
+            client.request(Method::GET, &path).unwrap().send()
+        };
+        let body = async |query: String| -> Value {
+            let answer = answer(query).await.unwrap();
+            assert_eq!(answer.status(), StatusCode::OK, "{resource}");
+            serde_json::from_str(&answer.text().await.unwrap()).unwrap()
+        };
+        let in_model = body(format!("?model={model}")).await;
+        assert_eq!(in_model, body("?up=y".to_owned()).await, "{resource}: the world that the model records");
+        assert_ne!(
+            in_model,
+            body(String::new()).await,
+            "the control, {resource}: the world of a new training"
+        );
+        let both = answer(format!("?model={model}&up=y")).await.unwrap();
+        assert_eq!((both.status().as_u16(), pointer(both).await), (422, json!("query/up")), "{resource}");
+        let unknown = answer("?model=unknown".to_owned()).await.unwrap();
+        assert_eq!(unknown.status(), StatusCode::NOT_FOUND, "{resource}");
+    }
 }

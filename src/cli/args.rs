@@ -1,5 +1,6 @@
 //! Arguments that several commands share.
 
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
@@ -38,6 +39,11 @@ impl QualityArgs {
 /// Parses a named value, spelled as in the API.
 pub(super) fn named<T: DeserializeOwned>(name: &str) -> Result<T, String> {
     serde_json::from_value(Value::String(name.to_owned())).map_err(|e| e.to_string())
+}
+
+/// The name of a value as the API spells it, the inverse of [`named`]. Empty for a value that is not written as a string.
+pub(super) fn name_of(value: impl Serialize) -> String {
+    serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
 /// Overrides from flags and `--set key=value` pairs. A key may name a field of a group: `weights.smoothness`. A value that is not
@@ -94,6 +100,14 @@ mod tests {
             let error = super::overrides(&[], &wrong).unwrap_err();
             assert!(error.starts_with("setting weights") || error.starts_with("--set seed.x=1"), "{error}");
         }
+    }
+
+    #[test]
+    fn names_are_printed_as_they_are_parsed() {
+        for name in ["preview", "standard", "high", "monte_carlo"] {
+            assert_eq!(name_of(named::<Tier>(name).unwrap()), name);
+        }
+        assert!(named::<Tier>("MonteCarlo").is_err(), "the control");
     }
 
     #[test]

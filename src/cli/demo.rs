@@ -29,7 +29,7 @@ use relume_train::eval::{
 /// Width and height of the relit pictures, pixels.
 const SIZE: u32 = 512;
 
-/// Demonstrate Relume: train on a synthetic capture, relight it and compare the result with the exact ground truth.
+/// Demonstrate Relume: train on a synthetic capture, relight the model, and compare the result with the exact ground truth.
 #[derive(Debug, Clone, clap::Args)]
 pub struct DemoArgs {
     /// The folder for the contact sheet, the report and the model. It is created if it does not exist.

@@ -48,7 +48,7 @@ pub struct EvalArgs {
     /// The tier to compare.
     #[command(flatten)]
     pub quality: QualityArgs,
-    /// Compare only this number of held-out views, evenly spaced. Default: all.
+    /// Number of held-out views to compare, evenly spaced. Default: all.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub views: Option<u32>,
 }

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use serde_json::Value;
 
+use crate::cli::args::name_of;
 use crate::cli::error::CommandResult;
 use crate::cli::input;
 use relume_capture::formats::model_file;
-use relume_scene::Model;
+use relume_scene::{Model, VisibilityForm};
 
 /// Options of `relume explain`.
 #[derive(Debug, clap::Args)]
@@ -35,14 +36,7 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
     let floats = model_file::floats_a_gaussian(model);
     let mut out = vec![
         format!("{} Gaussians of {floats} floats each, {:.1} kB in total", g.len(), bytes as f64 / 1e3),
-        format!(
-            "{} albedo prototypes; visibility {:?} of degree {}; radiance of degree {}; indirect light {:?}",
-            g.prototypes(),
-            model.shading.visibility,
-            g.visibility_degree(),
-            g.radiance_degree(),
-            model.shading.indirect
-        ),
+        shading(model),
         format!("environment of {} x {} texels", model.env_width, model.env_height),
     ];
     if let Some(from) = card.pointer("/imported/from") {
@@ -75,6 +69,21 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
         out.push(format!("  {key}: {}", plain(value)));
     }
     out
+}
+
+/// The albedo prototypes and the form of the shading, with the names of the API.
+fn shading(model: &Model) -> String {
+    let (g, options) = (&model.gaussians, &model.shading);
+    let visibility = match options.visibility {
+        VisibilityForm::Off => name_of(VisibilityForm::Off),
+        form => format!("{}, SH degree {}", name_of(form), g.visibility_degree()),
+    };
+    format!(
+        "{} albedo prototypes; visibility: {visibility}; radiance: SH degree {}; indirect light: {}",
+        g.prototypes(),
+        g.radiance_degree(),
+        name_of(options.indirect)
+    )
 }
 
 /// The numbers of a list, with two decimals.
@@ -148,6 +157,20 @@ fn sentence(finding: &Value) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use relume_scene::{Gaussians, IndirectForm};
+
+    #[test]
+    fn forms_of_shading_have_the_names_of_the_api() {
+        let mut model = Model::new(Gaussians::zeroed(2, 1, 4, 1), vec![[0.0; 3]], vec![[0.0; 3]; 2], (2, 1));
+        model.shading.visibility = VisibilityForm::Sigmoid;
+        model.shading.indirect = IndirectForm::Gathered;
+        assert_eq!(
+            shading(&model),
+            "1 albedo prototypes; visibility: sigmoid, SH degree 4; radiance: SH degree 1; indirect light: gathered"
+        );
+        (model.shading.visibility, model.shading.indirect) = (VisibilityForm::Off, IndirectForm::Off);
+        assert!(shading(&model).contains("visibility: off; radiance"), "{}", shading(&model));
+    }
 
     #[test]
     fn the_light_is_printed_with_its_evidence() {

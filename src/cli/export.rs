@@ -43,7 +43,7 @@ pub(super) struct ExportArgs {
     /// SH degree of the colours of `relit`, 0 to 3. Higher degrees keep more view dependence of highlights.
     #[arg(long, default_value_t = MAX_BAKED_DEGREE as u32, value_parser = clap::value_parser!(u32).range(0..=MAX_BAKED_DEGREE as i64))]
     relit_degree: u32,
-    /// Rotate each Gaussian until its shortest axis is its shading normal, for programs that use this axis as the normal.
+    /// Rotate each Gaussian so that its shortest axis is its shading normal, for programs that use this axis as the normal.
     #[arg(long)]
     flatten: bool,
 }

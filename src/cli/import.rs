@@ -16,7 +16,7 @@ const LIGHT_SIZE: (usize, usize) = (64, 32);
 #[derive(Debug, clap::Args)]
 pub(super) struct ImportArgs {
     /// A file of Gaussians: a `.ply`, written by `relume export` or by another program, a compressed `.ply` of SuperSplat, a `.spz`
-    /// or a `.splat`. The content decides, and not the name.
+    /// or a `.splat`. The format is detected from the content of the file, not from its name.
     file: PathBuf,
     /// The environment map of the model: a `.hdr` or `.exr` file or the name of a built-in map. Default: uniform white, because
     /// such files have no light.

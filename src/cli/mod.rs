@@ -54,7 +54,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Demonstrate Relume: train on a synthetic capture, relight it, compare the result with the ground truth.
+    /// Demonstrate Relume: train on a synthetic capture, relight the model, and compare the result with the ground truth.
     Demo(demo::DemoArgs),
     /// Run the HTTP service.
     Serve(Box<serve::ServeArgs>),
@@ -78,7 +78,7 @@ enum Command {
     Explain(explain::ExplainArgs),
     /// Convert a model into another format.
     Export(export::ExportArgs),
-    /// Convert a PLY of Gaussians into a model file.
+    /// Convert a file of Gaussians (PLY, SPZ or .splat) into a model file.
     Import(import::ImportArgs),
     /// List the devices of this machine and check that the service can run.
     Doctor(doctor::DoctorArgs),

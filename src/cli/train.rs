@@ -57,24 +57,25 @@ pub(super) struct TrainArgs {
     /// Rotation of this light about the capture's +Z, degrees counter-clockwise.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, requires = "light")]
     light_rotation: f64,
-    /// Exposure of this light, stops, or `auto`. At 0 a surface with a radiance of 1 is white in the photographs. `auto` gives a
-    /// white surface that faces up 0.9 of the luminance of white.
+    /// Exposure of this light, stops, or `auto`. At 0 a surface with a radiance of 1 is white in the photographs. `auto`
+    /// scales the light so that a white surface that faces up has 0.9 of the luminance of white.
     #[arg(long, default_value = "0", value_parser = exposure, allow_negative_numbers = true, requires = "light")]
     light_exposure: LightExposure,
     /// Rotations of the light in single photographs, for objects on a turntable: a JSON file `{"photo.jpg": degrees}`,
     /// counter-clockwise about the capture's +Z.
     #[arg(long = "light-rotation-file", alias = "light-rotations", value_name = "FILE")]
     light_rotations: Option<PathBuf>,
-    /// Colour of the light in the photographs: `auto` (estimated), `neutral` (photographs balanced for their light), `daylight`
-    /// (open sky), or the colour temperature in kelvin for photographs balanced for daylight.
+    /// Colour of the light in the photographs: `auto` (estimated), `neutral` (white objects are white in the photographs), `daylight`
+    /// (the light of an open sky), or the colour temperature in kelvin for photographs that were balanced for daylight.
     #[arg(long)]
     white_balance: Option<WhiteBalance>,
-    /// A white or grey object that all of the light reaches, as a rectangle in pixels of a stored photograph. Its mean colour is
-    /// the colour of the light, in place of `--white-balance`.
+    /// A white or grey object in a photograph, without a shadow on it, as a rectangle in pixels of the stored photograph. Relume
+    /// takes its mean colour as the colour of the light. Replaces `--white-balance`.
     #[arg(long, value_name = "PHOTO:X,Y,WIDTH,HEIGHT")]
     grey_card: Option<GreyCard>,
-    /// The part of photographs without masks that becomes the model; the rest only lights it: `none`, `auto` (the object on the
-    /// ground in the ball around which the cameras are placed), or a ball in units of the capture, +Z up.
+    /// For photographs without masks: the part of the scene that becomes the model. The rest of the scene only lights it. `none`:
+    /// the whole scene; `auto`: the object on the ground in the ball around which the cameras are placed; or a ball in units of
+    /// the capture, +Z up.
     #[arg(long, value_name = "auto|X,Y,Z,RADIUS", allow_hyphen_values = true)]
     crop: Option<Crop>,
     /// Device: `auto`, `cpu`, `gpu` or `gpu:N`; `relume doctor` lists the devices.
@@ -100,7 +101,7 @@ pub(super) struct TrainArgs {
     /// Write no contact sheet.
     #[arg(long)]
     no_sheet: bool,
-    /// LPIPS v0.1 AlexNet weights (safetensors). With them the scores at the end include LPIPS.
+    /// LPIPS v0.1 AlexNet weights (safetensors). If given, the scores at the end include LPIPS.
     #[arg(long, value_name = "WEIGHTS", env = "RELUME_LPIPS_WEIGHTS")]
     lpips: Option<PathBuf>,
 }

@@ -27,8 +27,8 @@ pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(get_cameras))
 }
 
-/// Number of the rule by which imports find the up direction: answers cached under another one are of another world.
-pub(super) const WORLD_RULE: u32 = 2;
+/// Number of the rules by which imports read poses and find the up direction: answers cached under another one are of another world.
+pub(super) const WORLD_RULE: u32 = 3;
 
 /// Form of the cameras.
 #[derive(Debug, Default, Deserialize, IntoParams)]
@@ -58,7 +58,7 @@ impl CamerasQuery {
     pub(super) async fn world(&self, app: &AppState, tenant: &TenantId) -> Result<Up, Problem> {
         match &self.model {
             Some(_) if !self.up.is_auto() => {
-                Err(Problem::invalid_field("/up", "must not be combined with model, which records it"))
+                Err(Problem::invalid_field("query/up", "must not be combined with model, which records it"))
             }
             Some(model) => models::world_of(app, tenant, model).await,
             None => Ok(self.up.into()),

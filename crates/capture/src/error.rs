@@ -1,5 +1,7 @@
 //! Errors of captures: a message for people and a code for programs.
 
+use crate::photo_finder::MIN_IMAGES;
+
 /// An error that names the file at fault, and the field in it.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
@@ -37,15 +39,13 @@ pub enum CaptureError {
         /// By how much.
         reason: String,
     },
-    /// No importer recognises the files.
-    #[error(
-        "unknown layout: {reason}; expected transforms_train.json (NeRF-synthetic, TensoIR), \
-         transforms.json (nerfstudio), sparse/0 (COLMAP) or poses_bounds.npy (LLFF); \
-         `relume capture poses` and `relume train` compute the poses of photographs without poses"
-    )]
+    /// No importer recognises the files, or there are none.
+    #[error("{}", unknown_layout(.reason, *.has_photographs))]
     UnknownLayout {
-        /// The files that were found instead.
+        /// A sentence with the name of the capture and the files that were found instead.
         reason: String,
+        /// True if there are photographs, so that only their poses are missing.
+        has_photographs: bool,
     },
     /// A file of the layout is missing or cannot be parsed at all.
     #[error("{file}: {reason}")]
@@ -85,6 +85,22 @@ pub enum CaptureError {
         /// Images that are listed but absent.
         missing: Vec<String>,
     },
+}
+
+/// The text of [`CaptureError::UnknownLayout`], with what to add to the files.
+fn unknown_layout(reason: &str, has_photographs: bool) -> String {
+    const LAYOUTS: &str = "transforms_train.json (NeRF-synthetic, TensoIR), transforms.json (nerfstudio), sparse/0 (COLMAP) or \
+                           poses_bounds.npy (LLFF)";
+    if has_photographs {
+        return format!(
+            "unknown layout: {reason}; expected {LAYOUTS}; `relume capture poses` and `relume train` compute the poses of photographs \
+             without poses"
+        );
+    }
+    format!(
+        "{reason}; put at least {MIN_IMAGES} photographs into it, better 40 to 200, as JPEG, PNG, TIFF, WebP, HEIC or AVIF files, and \
+         their poses if you have them: {LAYOUTS}"
+    )
 }
 
 fn missing_note(missing: &[String]) -> String {

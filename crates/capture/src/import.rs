@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use crate::check::{Finding, ImageChecks};
+use crate::check::{Finding, FindingKind, ImageChecks};
 use crate::formats::ply_points::Point;
 use crate::layout::{self, FoundLayout};
 use crate::photos::{self, LoadedView, PhotoEntry, Split};
@@ -13,7 +13,7 @@ use crate::{
     Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, PhotoCamera, Up, WorldUp, blender,
     bounds, cameras, colmap, identical, images, llff, masks, nerfstudio, polycam, rig, selection, truth,
 };
-use relume_spec::{CaptureReport, PhotographNote};
+use relume_spec::{CaptureReport, NoteKind, PhotographNote};
 
 /// One in this many views, by sorted name, is held out where the set names no test views.
 const HOLD_OUT_EVERY: usize = 8;
@@ -173,7 +173,11 @@ pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, Ca
         .collect();
     let (capture, source) = undecoded.decode_and_check(Some(&image_checks))?;
     let mut report = capture.report();
-    let noted = |finding: Finding| PhotographNote { text: finding.text, photographs: finding.photos };
+    let noted = |finding: Finding| PhotographNote {
+        kind: if finding.kind == FindingKind::Note { NoteKind::Fact } else { NoteKind::Hint },
+        text: finding.text,
+        photographs: finding.photos,
+    };
     report.notes.extend(image_checks.findings().into_iter().map(noted));
     if let Some(view) = capture.train.first() {
         let lens_size = lenses.get(&view.name).copied().flatten();
@@ -214,16 +218,7 @@ fn read_any_layout(
     warnings: &mut Vec<String>,
 ) -> Result<Layout, CaptureError> {
     let Some(found) = layout::find(source)? else {
-        if selection::select(source)?.photos.is_empty() {
-            selection::refuse_raw_files(source)?;
-        }
-        let first: Vec<&str> = source.paths().take(5).collect();
-        let reason = if first.is_empty() {
-            "the capture has no files".to_owned()
-        } else {
-            format!("the first files are {}", first.join(", "))
-        };
-        return Err(CaptureError::UnknownLayout { reason });
+        return Err(unknown_layout(source)?);
     };
     let no_points = |(photos, up)| (photos, Vec::new(), up);
     let (name, (photos, points, up)) = match found {
@@ -240,6 +235,25 @@ fn read_any_layout(
         }
     };
     Ok(Layout { name: name.to_owned(), photos, points, up })
+}
+
+/// The error for files without a known layout.
+///
+/// # Errors
+/// [`CaptureError::File`] if the only images are camera raw files, and the errors of reading the files.
+fn unknown_layout(source: &CaptureFiles) -> Result<CaptureError, CaptureError> {
+    let has_photographs = !selection::select(source)?.photos.is_empty();
+    if !has_photographs {
+        selection::refuse_raw_files(source)?;
+    }
+    let first: Vec<&str> = source.paths().take(5).collect();
+    let (capture, names) = (source.label(), first.join(", "));
+    let reason = match (first.is_empty(), has_photographs) {
+        (true, _) => format!("{capture} has no files"),
+        (false, false) => format!("{capture} has no photographs; its first files are {names}"),
+        (false, true) => format!("the first files of {capture} are {names}"),
+    };
+    Ok(CaptureError::UnknownLayout { reason, has_photographs })
 }
 
 /// The use of each photograph: as the set states, else every [`HOLD_OUT_EVERY`]th by sorted name is held out.
@@ -286,7 +300,11 @@ impl Capture {
                 .up
                 .note
                 .iter()
-                .map(|text| PhotographNote { text: text.clone(), photographs: Vec::new() })
+                .map(|text| PhotographNote {
+                    text: text.clone(),
+                    kind: NoteKind::Fact,
+                    photographs: Vec::new(),
+                })
                 .collect(),
         }
     }
@@ -300,6 +318,7 @@ mod tests {
     fn report_filters_notes_and_warnings_by_photograph() {
         let note = |text: &str, photographs: &[&str]| PhotographNote {
             text: text.to_owned(),
+            kind: NoteKind::Hint,
             photographs: photographs.iter().map(|&name| name.to_owned()).collect(),
         };
         let report = CaptureReport {

@@ -32,6 +32,7 @@ mod photographs;
 mod photos;
 mod photos_without_poses;
 mod polycam;
+mod pose_conventions;
 pub mod poses;
 mod process_limits;
 mod rig;

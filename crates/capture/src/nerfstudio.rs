@@ -6,7 +6,7 @@ use crate::photo_finder::PhotoFinder;
 use crate::photos::{PhotoEntry, Split};
 use crate::truth::TruthFiles;
 use crate::upright::{self, StatedUp, upright};
-use crate::{CaptureError, CaptureFiles, Up, WorldUp, layout, rig, transforms};
+use crate::{CaptureError, CaptureFiles, Up, WorldUp, layout, pose_conventions, transforms};
 
 /// The file that marks this layout.
 pub(super) const MARKER: &str = "transforms.json";
@@ -43,7 +43,7 @@ pub(super) fn read(
     }
     finder.finish(marker, photos.len(), warnings)?;
     let mut points = set.points.map_or(Ok(Vec::new()), |file| read_cloud(source, marker, &file, warnings))?;
-    rig::convert_opencv_axes(&mut photos, warnings);
+    pose_conventions::convert(&mut photos, &points, warnings);
     let poses: Vec<_> = photos.iter().map(|photo| photo.pose).collect();
     let world = upright(&poses, &points, up, stated, warnings);
     upright::rotate(world.rotation(), &mut photos, &mut points);

@@ -1,9 +1,9 @@
-//! Checks whether the poses of a capture are plausible. It finds cameras that
-//! look away from the object, one pose for all photographs, a camera far from the others, and cameras that are upside down.
+//! Checks whether the poses of a capture are plausible. It finds cameras that look away from the object, one pose for all
+//! photographs, a camera far from the others, and cameras that are upside down.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use glam::{DMat4, DVec3};
+use glam::{DMat3, DMat4, DVec3};
 
 use crate::CaptureError;
 use crate::bounds::nearest_to_axes;
@@ -20,8 +20,12 @@ const STRAY_CAMERAS: usize = 8;
 
 /// Half the angle of a cone that every camera sees, degrees, and the least share of a point cloud that a camera sees in it.
 const SEEN: (f64, f64) = (25.0, 0.01);
+/// Mean squared sine of the angles between viewing directions and their mean, below which they are parallel.
+const PARALLEL: f64 = 0.03;
 /// Number of points that are looked at.
 const POINTS: usize = 2000;
+/// Fewest points that say whether cameras see them.
+const MIN_POINTS: usize = 16;
 
 /// Warns of implausible poses, and of points that do not belong to them.
 ///
@@ -119,38 +123,59 @@ fn stray_cameras(photos: &[PhotoEntry]) -> Option<String> {
     })
 }
 
-/// How many cameras look towards the point at which all look.
-fn looking(photos: &[PhotoEntry]) -> usize {
-    let axes = |photo: &PhotoEntry| (eye(photo), -photo.pose.z_axis.truncate().normalize_or_zero());
-    let centre = nearest_to_axes(photos.iter().map(axes));
-    let sees = |photo: &&PhotoEntry| {
-        let (eye, forward) = axes(photo);
-        forward.dot(centre - eye) > 0.0
-    };
-    photos.iter().filter(sees).count()
+/// Position and viewing direction of a camera.
+fn axis(pose: &DMat4) -> (DVec3, DVec3) {
+    (pose.w_axis.truncate(), -pose.z_axis.truncate().normalize_or_zero())
 }
 
-/// Converts poses with OpenCV axes (y down, z forward) to OpenGL axes (y up, z backward) if they are surely such: taken
-/// as OpenGL axes, the cameras look away from the object and are upside down.
-pub(super) fn convert_opencv_axes(photos: &mut [PhotoEntry], warnings: &mut Vec<String>) {
-    let up = photos.iter().map(up).sum::<DVec3>() / photos.len().max(1) as f64;
-    if up.z < -0.5 && 10 * looking(photos) < photos.len() {
-        let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
-        photos.iter_mut().for_each(|photo| photo.pose *= flip);
-        warnings.push(
-            "the poses have OpenCV axes (y down, z forward) where the layout has OpenGL axes (y up, z backward): the cameras would \
-             look away and be upside down; the poses are converted"
-                .to_owned(),
-        );
+/// How many cameras look towards the point at which all look.
+pub(super) fn looking(poses: &[DMat4]) -> usize {
+    let centre = nearest_to_axes(poses.iter().map(axis));
+    let sees = |pose: &&DMat4| {
+        let (eye, forward) = axis(pose);
+        forward.dot(centre - eye) > 0.0
+    };
+    poses.iter().filter(sees).count()
+}
+
+/// How many cameras have the point at which all look in the cone of [`SEEN`], farther away than a rounding error. 0 if the axes are
+/// too parallel to determine a point.
+pub(super) fn looking_straight(poses: &[DMat4]) -> usize {
+    if are_parallel(poses) {
+        return 0;
     }
+    let centre = nearest_to_axes(poses.iter().map(axis));
+    let sees = |pose: &&DMat4| {
+        let (eye, forward) = axis(pose);
+        let away = centre - eye;
+        away.length() > SAME * eye.length().max(1e-300) && is_in_cone(away, forward)
+    };
+    poses.iter().filter(sees).count()
+}
+
+/// Whether the viewing directions `d` differ by less than about 10 degrees: the determinant of the mean of `1 - d d^T` is about
+/// the mean squared sine of their angles to the mean direction.
+fn are_parallel(poses: &[DMat4]) -> bool {
+    let across = |pose: &DMat4| {
+        let (_, d) = axis(pose);
+        DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z)
+    };
+    let sum = poses.iter().map(across).fold(DMat3::ZERO, |sum, one| sum + one);
+    // Also true for numbers that are not finite.
+    !(sum.determinant() > PARALLEL * (poses.len() as f64).powi(3))
+}
+
+fn is_in_cone(towards: DVec3, forward: DVec3) -> bool {
+    towards.normalize_or_zero().dot(forward) > SEEN.0.to_radians().cos()
 }
 
 fn looking_away(photos: &[PhotoEntry]) -> Option<String> {
-    let looking = looking(photos);
+    let looking = looking(&photos.iter().map(|photo| photo.pose).collect::<Vec<_>>());
     (2 * looking < photos.len()).then(|| {
         format!(
             "only {looking} of {} cameras look towards the point at which all look: the poses may be world-to-camera instead of \
-             camera-to-world; for a room that is seen from its inside this is normal, and without points its size is a guess",
+             camera-to-world, which inverted matrices correct; for a room that is seen from its inside this is normal, and without \
+             points its size is a guess",
             photos.len()
         )
     })
@@ -177,18 +202,24 @@ fn upside_down(photos: &[PhotoEntry]) -> Option<String> {
     })
 }
 
-fn unseen_points(photos: &[PhotoEntry], points: &[Point]) -> Option<String> {
+/// How many cameras see the points: at least the share of [`SEEN`] in its cone. `None` for fewer than [`MIN_POINTS`].
+pub(super) fn seeing(poses: &[DMat4], points: &[Point]) -> Option<usize> {
+    if points.len() < MIN_POINTS {
+        return None;
+    }
     let points: Vec<DVec3> =
         points.iter().step_by(points.len().div_ceil(POINTS).max(1)).map(|p| p.0).collect();
-    let (angle, share) = SEEN;
-    let sees = |photo: &&PhotoEntry| {
-        let forward = -photo.pose.z_axis.truncate().normalize_or_zero();
-        let is_ahead =
-            |p: &&DVec3| (**p - eye(photo)).normalize_or_zero().dot(forward) > angle.to_radians().cos();
-        points.iter().filter(is_ahead).count() as f64 >= share * points.len() as f64
+    let sees = |pose: &&DMat4| {
+        let (eye, forward) = axis(pose);
+        let seen = points.iter().filter(|point| is_in_cone(**point - eye, forward)).count();
+        seen as f64 >= SEEN.1 * points.len() as f64
     };
-    let seeing = photos.iter().filter(sees).count();
-    (points.len() >= 16 && 2 * seeing < photos.len()).then(|| {
+    Some(poses.iter().filter(sees).count())
+}
+
+fn unseen_points(photos: &[PhotoEntry], points: &[Point]) -> Option<String> {
+    let seeing = seeing(&photos.iter().map(|photo| photo.pose).collect::<Vec<_>>(), points)?;
+    (2 * seeing < photos.len()).then(|| {
         format!(
             "only {seeing} of {} cameras see the point cloud: its points may have other axes or units than the cameras",
             photos.len()

@@ -29,8 +29,8 @@ pub struct CaptureReport {
     pub radius: f64,
     /// Warnings of the import, e.g. the names of missing images.
     pub warnings: Vec<String>,
-    /// Quality problems of photographs, e.g. blur, darkness or little overlap. Empty for captures that were
-    /// stored by a version without these checks.
+    /// Quality problems of photographs, e.g. blur, darkness or little overlap, and facts about the import, e.g. the evidence for
+    /// the up direction. Empty for captures that were stored by a version without these checks.
     #[serde(default)]
     pub notes: Vec<PhotographNote>,
 }
@@ -59,11 +59,25 @@ fn names(text: &str, file: &str) -> bool {
     })
 }
 
-/// A quality problem of photographs.
+/// What a note asks of its reader.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum NoteKind {
+    /// A quality problem with its remedy.
+    #[default]
+    Hint,
+    /// A fact about the import. It needs no action.
+    Fact,
+}
+
+/// A quality problem of photographs, or a fact about the import.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct PhotographNote {
-    /// The problem and its remedy.
+    /// The problem and its remedy, or the fact.
     pub text: String,
-    /// Names of the affected photographs.
+    /// Whether the text is a hint or a fact; `hint` for captures that were stored by a version without kinds.
+    #[serde(default)]
+    pub kind: NoteKind,
+    /// Names of the affected photographs; empty if the text concerns the whole capture.
     pub photographs: Vec<String>,
 }

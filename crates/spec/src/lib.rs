@@ -8,4 +8,4 @@ mod capture_report;
 pub mod rendering;
 pub mod training;
 
-pub use capture_report::{CaptureReport, PhotographNote};
+pub use capture_report::{CaptureReport, NoteKind, PhotographNote};

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::cli::args::{named, overrides};
+use crate::cli::args::{name_of, named, overrides};
 use crate::cli::bench::input::{file_name, read_capture};
 use crate::cli::bench::table::{head, machine, publish, row};
 use crate::cli::bench::training::{Trained, train_and_evaluate};
@@ -77,10 +77,10 @@ const COLUMNS: [&str; 10] = [
 pub(super) fn run(args: &ComplexityArgs) -> CommandResult {
     let device = Device::open(args.device)?;
     let mut text = format!(
-        "{}; seed {}.\nPreset {:?}, {} steps, {} px, at most {} Gaussians; each cell: full, then auto.\n\n{}",
+        "{}; seed {}.\nPreset {}, {} steps, {} px, at most {} Gaussians; each cell: full, then auto.\n\n{}",
         machine(&device),
         args.seed,
-        args.preset,
+        name_of(args.preset),
         args.iterations,
         args.resolution,
         args.gaussians,

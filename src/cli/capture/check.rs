@@ -8,11 +8,11 @@ use crate::cli::args::named;
 use crate::cli::capture::rig_svg::rig_svg;
 use crate::cli::error::CommandResult;
 use crate::cli::output::write_named;
-use relume_capture::check::{PhotoStats, PhotographsReport, check_photographs};
+use relume_capture::check::{FindingKind, PhotoStats, PhotographsReport, check_photographs};
 use relume_capture::poses::{ClipOptions, RunControl, frames_of_clip, is_clip};
 use relume_capture::{ImportLimits, ImportOptions, PhotosWithoutPoses, UndecodedCapture, has_poses, inspect};
-use relume_spec::CaptureReport;
 use relume_spec::training::UpAxis;
+use relume_spec::{CaptureReport, NoteKind};
 
 /// Time limit of the extraction of frames from a clip.
 const CLIP_TIME: Duration = Duration::from_secs(3600);
@@ -51,7 +51,7 @@ pub(super) fn run(args: &CheckArgs) -> CommandResult<ExitCode> {
         let report = check_photographs(&photographs);
         lines(&report, args.each).iter().for_each(|line| println!("{line}"));
         if args.sheet.is_some() {
-            println!("hint: no picture of the cameras is written, because the photographs have no poses");
+            println!("note: no picture of the cameras is written, because the photographs have no poses");
         }
         !report.has_problems()
     };
@@ -109,7 +109,11 @@ fn capture_lines(report: &CaptureReport) -> Vec<String> {
     ];
     lines.extend(report.warnings.iter().map(|warning| format!("warning: {warning}")));
     for note in &report.notes {
-        lines.extend(finding_lines("hint", &note.text, &note.photographs));
+        let kind = match note.kind {
+            NoteKind::Hint => FindingKind::Hint,
+            NoteKind::Fact => FindingKind::Note,
+        };
+        lines.extend(finding_lines(kind, &note.text, &note.photographs));
     }
     lines
 }
@@ -151,15 +155,14 @@ fn lines(report: &PhotographsReport, each: bool) -> Vec<String> {
         lines.extend(camera(&report.photos));
     }
     for finding in &report.findings {
-        let kind = if finding.is_problem { "problem" } else { "hint" };
-        lines.extend(finding_lines(kind, &finding.text, &finding.photos));
+        lines.extend(finding_lines(finding.kind, &finding.text, &finding.photos));
     }
     lines
 }
 
 /// A finding, and a line with the photographs that it concerns.
-fn finding_lines(kind: &str, text: &str, photos: &[String]) -> Vec<String> {
-    let mut lines = vec![format!("{kind}: {text}")];
+fn finding_lines(kind: FindingKind, text: &str, photos: &[String]) -> Vec<String> {
+    let mut lines = vec![format!("{}: {text}", kind.name())];
     if !photos.is_empty() {
         let shown = photos.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
         let more = photos.len().saturating_sub(SHOWN);

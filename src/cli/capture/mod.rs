@@ -19,8 +19,8 @@ pub(super) struct CaptureArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum CaptureCommand {
-    /// Check a capture before a training: poses, lenses, masks and points as an import does; for photographs without poses their
-    /// number, blur, exposure, overlap and camera settings. Fails if it is not suitable for training.
+    /// Check a capture before a training: poses, lenses, masks and points, as an import does. For photographs without poses it
+    /// checks their number, blur, exposure, overlap and camera settings. Fails if the capture is not suitable for training.
     Check(check::CheckArgs),
     /// Find the poses of photographs or of a video clip, with COLMAP and ffmpeg, and make a capture of them.
     Poses(poses::CapturePosesArgs),

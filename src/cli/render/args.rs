@@ -103,12 +103,12 @@ pub(super) struct CameraArgs {
     /// Render a turntable of this number of frames around the model, starting at `--azimuth`.
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(super) turntable: Option<u32>,
-    /// Degrees by which the camera of a turntable turns over the whole sequence, counter-clockwise; 0 for a static camera. The
-    /// next frame after the last one would complete the turn.
+    /// Degrees by which the camera of a turntable turns over the whole sequence, counter-clockwise; 0 for a static camera. The turn
+    /// would be complete one frame after the last one.
     #[arg(long, default_value_t = 360.0, allow_negative_numbers = true, value_parser = finite, requires = "turntable")]
     pub(super) camera_turn: f64,
-    /// Degrees by which the light turns over the whole sequence, counter-clockwise, in addition to `--rotation`. The next frame
-    /// after the last one would complete the turn.
+    /// Degrees by which the light turns over the whole sequence, counter-clockwise, in addition to `--rotation`. The turn would be
+    /// complete one frame after the last one.
     #[arg(long, visible_alias = "environment-turn", default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
     pub(super) env_turn: f64,
 }
@@ -119,8 +119,8 @@ pub(super) struct SequenceArgs {
     /// Number of the first frame.
     #[arg(long, default_value_t = 1)]
     pub(super) start_number: u32,
-    /// Only the frames with these numbers: `7`, `1-10`, `1-100:10` or several of these separated by commas. With it a render farm
-    /// can divide a sequence into tasks.
+    /// Only the frames with these numbers: `7`, `1-10`, `1-100:10` or several of these separated by commas. A render farm can
+    /// divide a sequence into tasks with it.
     #[arg(long, visible_alias = "frame", value_name = "NUMBERS")]
     pub(super) frames: Option<FrameList>,
     /// Skip frames whose file already exists, from an earlier run with the same options.

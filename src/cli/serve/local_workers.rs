@@ -13,8 +13,8 @@ pub(super) struct LocalWorkerArgs {
     /// The server renders frames on the first device. Replaces `--device`.
     #[arg(long, env = "RELUME_DEVICES", value_delimiter = ',')]
     devices: Vec<String>,
-    /// Run as a replica, an additional server on the same database. It answers, renders and trains, but accepts no uploads, makes
-    /// no exports and deletes nothing. Requires artifacts that both servers can reach.
+    /// Run as a replica, an additional server on the same database. It answers requests, renders and trains, but accepts no uploads,
+    /// makes no exports and deletes nothing. Both servers must have access to the same artifacts.
     #[arg(long, env = "RELUME_REPLICA", requires = "database_url")]
     replica: bool,
     /// Labels of the local workers, separated by commas. A job can require labels of its worker.

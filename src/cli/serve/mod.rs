@@ -59,7 +59,7 @@ pub(super) struct ServeArgs {
     device: DeviceChoice,
     #[command(flatten)]
     local_workers: local_workers::LocalWorkerArgs,
-    /// Maximum number of attempts without a new checkpoint before a job fails.
+    /// A job fails after this number of attempts without a new checkpoint.
     #[arg(long, env = "RELUME_MAX_ATTEMPTS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     max_attempts: u32,
     /// Seconds without a heartbeat after which the server considers a worker dead and gives its job to another worker.

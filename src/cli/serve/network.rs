@@ -7,7 +7,8 @@ use crate::server::ConnectionLimits;
 /// Options for connections.
 #[derive(Debug, clap::Args)]
 pub(super) struct NetworkArgs {
-    /// Maximum number of open connections. Another connection closes the one that has waited longest for its client.
+    /// Maximum number of open connections. At this number, a new connection replaces the one that has
+    /// waited longest for its client.
     #[arg(long, env = "RELUME_MAX_CONNECTIONS", default_value_t = 4096, value_parser = count)]
     max_connections: usize,
     /// Maximum number of open connections per address. Loopback is not limited. Increase it if a proxy on another machine

@@ -26,20 +26,20 @@ pub(super) struct StorageArgs {
     #[arg(long, env = "RELUME_ARTIFACTS_REDIRECT", value_name = "ENDPOINT", num_args = 0..=1, require_equals = true,
           default_missing_value = "same", requires = "url", value_parser = redirect)]
     artifacts_redirect: Option<ArtifactsRedirect>,
-    /// Days after which the server deletes a job that has ended; its model is kept. Default: never.
+    /// The server deletes a job this number of days after its end; its model is kept. Default: never.
     #[arg(long, env = "RELUME_KEEP_JOBS", value_name = "DAYS", value_parser = days)]
     keep_jobs: Option<Duration>,
-    /// Days after the upload and the newest job of a capture after which the server deletes the capture, unless a job may still
-    /// need it. Default: never.
+    /// The server deletes a capture this number of days after its upload and its newest job, unless a job may still need it.
+    /// Default: never.
     #[arg(long, env = "RELUME_KEEP_CAPTURES", value_name = "DAYS", value_parser = days)]
     keep_captures: Option<Duration>,
-    /// Days after which the server deletes a model. Default: never.
+    /// The server deletes a model this number of days after its creation. Default: never.
     #[arg(long, env = "RELUME_KEEP_MODELS", value_name = "DAYS", value_parser = days)]
     keep_models: Option<Duration>,
-    /// Days after which the server deletes an export that has ended; it can be made again. Default: never.
+    /// The server deletes an export this number of days after its end; it can be made again. Default: never.
     #[arg(long, env = "RELUME_KEEP_EXPORTS", value_name = "DAYS", value_parser = days)]
     keep_exports: Option<Duration>,
-    /// Days after its last chunk after which the server deletes an unfinished resumable upload.
+    /// The server deletes an unfinished resumable upload this number of days after its last chunk.
     #[arg(long, env = "RELUME_KEEP_UPLOADS", value_name = "DAYS", value_parser = days, default_value = "1")]
     keep_uploads: Duration,
 }

@@ -210,3 +210,6 @@ fn held_or_unknown(status: Result<LeaseStatus, JobSourceError>) -> LeaseStatus {
         LeaseStatus::Held
     })
 }
+
+#[cfg(test)]
+mod tests;

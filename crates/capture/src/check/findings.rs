@@ -26,15 +26,49 @@ const SETTINGS_EV: f64 = 0.34;
 /// Share of the photographs above which a fault is a problem of the set.
 const MANY: f64 = 0.25;
 
+/// What a finding means for a training, the gravest first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum FindingKind {
+    /// Training would fail.
+    Problem,
+    /// The model may be worse than possible; the text has the remedy.
+    Hint,
+    /// A fact about how the files are read. It needs no action.
+    Note,
+}
+
+impl FindingKind {
+    /// A problem if `is_problem`, else a hint.
+    fn of_fault(is_problem: bool) -> Self {
+        if is_problem { Self::Problem } else { Self::Hint }
+    }
+
+    /// The word before the text.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Problem => "problem",
+            Self::Hint => "hint",
+            Self::Note => "note",
+        }
+    }
+}
+
 /// A finding for the photographer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
-    /// True if training would fail; false if the model may only be worse than possible.
-    pub is_problem: bool,
-    /// The fault and its remedy.
+    /// What it means for a training.
+    pub kind: FindingKind,
+    /// The fault and its remedy, or the fact.
     pub text: String,
     /// The photographs concerned; empty for the whole set.
     pub photos: Vec<String>,
+}
+
+impl Finding {
+    /// True if training would fail.
+    pub fn is_problem(&self) -> bool {
+        self.kind == FindingKind::Problem
+    }
 }
 
 /// All findings, problems first.
@@ -43,7 +77,7 @@ pub(super) fn findings(photos: &[PhotoStats], unreadable: &[String]) -> Vec<Find
     all.extend(number(photos.len()));
     if !unreadable.is_empty() {
         let text = format!("photographs that cannot be read: {}", unreadable.len());
-        all.push(Finding { is_problem: true, text, photos: unreadable.to_vec() });
+        all.push(Finding { kind: FindingKind::Problem, text, photos: unreadable.to_vec() });
     }
     let median = median(photos.iter().map(|photo| photo.sharpness).collect());
     all.extend(about(
@@ -68,7 +102,7 @@ pub(super) fn findings(photos: &[PhotoStats], unreadable: &[String]) -> Vec<Find
     all.extend(colours(photos));
     all.extend(scene_referred(photos));
     all.extend(camera(photos));
-    all.sort_by_key(|finding| !finding.is_problem);
+    all.sort_by_key(|finding| finding.kind);
     all
 }
 
@@ -85,7 +119,7 @@ pub(super) fn is_overexposed(photo: &PhotoStats) -> bool {
     photo.clipped > CLIPPED
 }
 
-/// A hint for each reason for which image files are no photographs.
+/// A note for each reason for which image files are no photographs.
 pub(super) fn ignored(files: &[IgnoredFile]) -> Vec<Finding> {
     let mut groups: BTreeMap<&str, Vec<String>> = BTreeMap::new();
     for file in files {
@@ -95,7 +129,7 @@ pub(super) fn ignored(files: &[IgnoredFile]) -> Vec<Finding> {
         format!("files that are not used as photographs: {count}; each {reason}")
     };
     let finding = |(reason, photos): (&str, Vec<String>)| Finding {
-        is_problem: false,
+        kind: FindingKind::Note,
         text: text(reason, photos.len()),
         photos,
     };
@@ -110,7 +144,7 @@ fn number(photos: usize) -> Option<Finding> {
         }
         _ => return None,
     };
-    Some(Finding { is_problem, text, photos: Vec::new() })
+    Some(Finding { kind: FindingKind::of_fault(is_problem), text, photos: Vec::new() })
 }
 
 /// A finding about the photographs for which `is_so`; a problem if they are more than the share [`MANY`].
@@ -119,11 +153,11 @@ fn about(photos: &[PhotoStats], what: &str, is_so: impl Fn(&PhotoStats) -> bool)
         photos.iter().filter(|photo| is_so(photo)).map(|photo| photo.name.clone()).collect();
     let is_problem = names.len() as f64 > MANY * photos.len() as f64;
     let text = format!("{} of {} photographs {what}", names.len(), photos.len());
-    (!names.is_empty()).then_some(Finding { is_problem, text, photos: names })
+    (!names.is_empty()).then_some(Finding { kind: FindingKind::of_fault(is_problem), text, photos: names })
 }
 
 fn hint(finding: Finding) -> Finding {
-    Finding { is_problem: false, ..finding }
+    Finding { kind: FindingKind::Hint, ..finding }
 }
 
 /// A finding about identical photographs; a problem if fewer than [`MIN_IMAGES`] different ones remain.
@@ -138,7 +172,7 @@ pub(super) fn copies(photos: &[PhotoStats]) -> Option<Finding> {
         photos.len(),
         seen.len()
     );
-    (!names.is_empty()).then_some(Finding { is_problem, text, photos: names })
+    (!names.is_empty()).then_some(Finding { kind: FindingKind::of_fault(is_problem), text, photos: names })
 }
 
 /// A hint that names the scene-referred photographs.
@@ -167,7 +201,10 @@ fn colours(photos: &[PhotoStats]) -> Vec<Finding> {
         }
     };
     let finding = |(colour, photos): (&ColourConversion, Vec<String>)| Finding {
-        is_problem: false,
+        kind: match colour {
+            ColourConversion::Ignored { .. } => FindingKind::Hint,
+            ColourConversion::None | ColourConversion::Converted(_) => FindingKind::Note,
+        },
         text: text(colour, photos.len()),
         photos,
     };
@@ -177,7 +214,7 @@ fn colours(photos: &[PhotoStats]) -> Vec<Finding> {
 /// Findings about the camera's settings over the set.
 fn camera(photos: &[PhotoStats]) -> Vec<Finding> {
     let mut found = Vec::new();
-    let mut say = |text: String| found.push(Finding { is_problem: false, text, photos: Vec::new() });
+    let mut say = |text: String| found.push(Finding { kind: FindingKind::Hint, text, photos: Vec::new() });
     let exposures: Vec<f64> = photos.iter().filter_map(|photo| photo.camera.exposure_ev()).collect();
     let low = exposures.iter().copied().fold(f64::INFINITY, f64::min);
     let high = exposures.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -269,7 +306,7 @@ mod tests {
                 let found = findings(&photos, &[]);
                 let finding = found.iter().find(|finding| finding.text.contains(word));
                 let finding = finding.unwrap_or_else(|| panic!("{word}: {found:?}"));
-                assert_eq!(finding.is_problem, is_problem && many, "{word} {count}");
+                assert_eq!(finding.is_problem(), is_problem && many, "{word} {count}");
                 assert!(finding.photos.is_empty() || finding.photos.len() == count);
             }
         }
@@ -277,10 +314,10 @@ mod tests {
 
     #[test]
     fn too_few_and_unreadable_photographs_are_problems() {
-        let told = |count: usize| findings(&sound()[..count], &[]).first().map(|finding| finding.is_problem);
+        let told = |count: usize| findings(&sound()[..count], &[]).first().map(Finding::is_problem);
         assert_eq!([3, 11, 12, 39, 40].map(told), [Some(true), Some(true), Some(false), Some(false), None]);
         let found = findings(&sound(), &["x.jpg: is empty".to_owned()]);
-        assert!(found[0].is_problem && found[0].photos[0].contains("x.jpg"));
+        assert!(found[0].is_problem() && found[0].photos[0].contains("x.jpg"));
     }
 
     #[test]
@@ -291,7 +328,7 @@ mod tests {
             copies(&photos).unwrap()
         };
         let (two, three) = (copied(2), copied(3));
-        assert!(two.is_problem && two.photos.len() == 48 && two.photos[0] == "2.jpg", "{two:?}");
-        assert!(!three.is_problem && three.text.contains("3 different"), "the control: {three:?}");
+        assert!(two.is_problem() && two.photos.len() == 48 && two.photos[0] == "2.jpg", "{two:?}");
+        assert!(!three.is_problem() && three.text.contains("3 different"), "the control: {three:?}");
     }
 }

@@ -7,7 +7,7 @@ mod overlap;
 mod photo;
 
 pub use faults::PhotographFaults;
-pub use findings::Finding;
+pub use findings::{Finding, FindingKind};
 pub(super) use image_checks::ImageChecks;
 pub use photo::PhotoStats;
 
@@ -27,7 +27,7 @@ pub struct PhotographsReport {
 impl PhotographsReport {
     /// True if training would fail.
     pub fn has_problems(&self) -> bool {
-        self.findings.iter().any(|finding| finding.is_problem)
+        self.findings.iter().any(Finding::is_problem)
     }
 }
 
@@ -54,6 +54,6 @@ pub fn check_photographs(photographs: &PhotosWithoutPoses) -> PhotographsReport 
     let mut findings = findings::findings(&photos, &unreadable);
     findings.extend(findings::copies(&photos));
     findings.extend(findings::ignored(photographs.ignored()));
-    findings.sort_by_key(|finding| !finding.is_problem);
+    findings.sort_by_key(|finding| finding.kind);
     PhotographsReport { photos, findings }
 }

@@ -16,6 +16,7 @@ use super::stem;
 use crate::CaptureFiles;
 use crate::error::name_list;
 use crate::photos::PhotoEntry;
+use crate::selection::PHOTOGRAPHS;
 
 /// The mask of a photograph.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -26,9 +27,8 @@ pub(crate) struct MaskFile {
     pub hides: bool,
 }
 
-/// File extensions of masks and photographs.
-const ENDINGS: [&str; 12] =
-    ["png", "jpg", "jpeg", "tif", "tiff", "webp", "exr", "bmp", "heic", "heif", "hif", "avif"];
+/// File extensions of masks that photographs do not have.
+const MASK_ENDINGS: [&str; 2] = ["exr", "bmp"];
 /// Ends of a mask's name before its extension.
 const SUFFIXES: [&str; 6] = ["_mask", ".mask", "-mask", "_matte", "_segmentation", "_silhouette"];
 /// Start of the name of a mask whose white pixels are hidden.
@@ -58,7 +58,8 @@ fn is_photo_folder(name: &str) -> bool {
 }
 
 fn has_image_ending(name: &str) -> bool {
-    name.rsplit_once('.').is_some_and(|(_, ending)| ENDINGS.contains(&ending))
+    name.rsplit_once('.')
+        .is_some_and(|(_, ending)| PHOTOGRAPHS.contains(&ending) || MASK_ENDINGS.contains(&ending))
 }
 
 /// The folders of a path that tell photographs apart, and its file name, in lower case.
@@ -202,6 +203,15 @@ mod tests {
     fn masks_of(files: &[&str]) -> (Vec<Option<String>>, usize) {
         let assigned = assign(&["images/a.jpg", "images/b/c.JPG"], files.iter().copied());
         (assigned.masks.into_iter().map(|mask| mask.map(|m| m.path)).collect(), assigned.unused.len())
+    }
+
+    #[test]
+    fn masks_have_every_ending_of_photographs_and_two_more() {
+        for ending in PHOTOGRAPHS.into_iter().chain(["exr", "bmp"]) {
+            let mask = format!("masks/a.{ending}");
+            assert_eq!(masks_of(&[&mask]), (vec![Some(mask.clone()), None], 0));
+        }
+        assert_eq!(masks_of(&["masks/a.txt"]), (vec![None, None], 0), "the control");
     }
 
     #[test]

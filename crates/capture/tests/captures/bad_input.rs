@@ -150,6 +150,21 @@ fn too_few_images_are_refused_with_count_and_names() {
 }
 
 #[test]
+fn folder_without_photographs_says_what_to_put_there() {
+    for files in [Files::new(), Files::from([("notes.txt".to_owned(), b"hello".to_vec())])] {
+        let error = import_folder(&files).unwrap_err();
+        assert_eq!(error.code(), "capture_layout_unknown");
+        let text = error.to_string();
+        assert!(text.contains("put at least 3 photographs into it") && text.contains("JPEG"), "{text}");
+        assert!(!text.contains("relume train"), "the advice must not be the failed command: {text}");
+        assert_eq!(text.contains("its first files are notes.txt"), !files.is_empty(), "{text}");
+    }
+    let photographs: Files = (0..4).map(|i| (format!("{i}.png"), picture(i))).collect();
+    let text = import_folder(&photographs).unwrap_err().to_string();
+    assert!(text.contains("relume capture poses") && !text.contains("put at least"), "the control: {text}");
+}
+
+#[test]
 fn missing_mask_file_is_refused() {
     let error = refusal(&nerfstudio(|set| set["frames"][1]["mask_path"] = json!("masks/1.png")));
     assert_eq!((error.code(), error.file()), ("capture_file_invalid", Some("masks/1.png")));

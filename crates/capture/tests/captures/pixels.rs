@@ -6,7 +6,7 @@ use std::process::Command;
 
 use image::{ExtendedColorType, ImageEncoder};
 use moxcms::ColorProfile;
-use relume_capture::check::check_photographs;
+use relume_capture::check::{FindingKind, check_photographs};
 use relume_capture::formats::image_file::{self, decode, decode_photograph, encode_jpeg, encode_png};
 use relume_capture::formats::{ColourConversion, ImageFileError};
 use relume_capture::{CaptureError, ImportLimits, ImportOptions, PhotosWithoutPoses, inspect};
@@ -278,7 +278,7 @@ fn findings(files: &Files) -> (Vec<String>, Vec<String>) {
     let folder = folder_of(files);
     let photographs = PhotosWithoutPoses::open(folder.path(), &ImportLimits::default()).unwrap().unwrap();
     let found = check_photographs(&photographs).findings;
-    let (problems, hints): (Vec<_>, Vec<_>) = found.into_iter().partition(|finding| finding.is_problem);
+    let (problems, hints): (Vec<_>, Vec<_>) = found.into_iter().partition(|finding| finding.is_problem());
     let texts = |found: Vec<relume_capture::check::Finding>| found.into_iter().map(|f| f.text).collect();
     (texts(problems), texts(hints))
 }
@@ -307,14 +307,19 @@ fn identical_photographs_are_a_problem() {
 }
 
 #[test]
-fn image_files_that_are_no_photographs_are_hints() {
+fn image_files_that_are_no_photographs_are_noted() {
     let mut files = noise(14);
     for i in 0..14 {
         files.insert(format!("images_2/{i:02}.png"), encode_png(16, 12, &[[i as u8; 3]; 192]).unwrap());
     }
-    let (_, hints) = findings(&files);
-    let hint = hints.iter().find(|text| text.contains("not used as photographs")).unwrap();
-    assert!(hint.contains("photographs: 14;") && hint.contains("reduced copy"), "{hint}");
+    let folder = folder_of(&files);
+    let photographs = PhotosWithoutPoses::open(folder.path(), &ImportLimits::default()).unwrap().unwrap();
+    let found = check_photographs(&photographs).findings;
+    let note = found.iter().find(|finding| finding.text.contains("not used as photographs")).unwrap();
+    assert!(note.text.contains("photographs: 14;") && note.text.contains("reduced copy"), "{note:?}");
+    assert_eq!(note.kind, FindingKind::Note, "nothing has to be done");
+    let small = found.iter().find(|finding| finding.text.contains("are small")).unwrap();
+    assert_eq!(small.kind, FindingKind::Hint, "the control");
     let raws: Files = (0..3).map(|i| (format!("IMG_{i}.NEF"), b"II*\0".to_vec())).collect();
     let text =
         PhotosWithoutPoses::open(folder_of(&raws).path(), &ImportLimits::default()).unwrap_err().to_string();

@@ -2,7 +2,9 @@
 
 use glam::{DMat4, DVec3, DVec4};
 use relume_capture::{Capture, CaptureError};
+use relume_compare::{largest_difference, worst};
 use relume_fixtures::small_set::{Files, import_folder, nerfstudio, picture, pose};
+use relume_scene::Camera;
 use serde_json::{Value, json};
 
 /// A nerfstudio set of twelve photographs whose poses and frames are changed by `edit`.
@@ -87,6 +89,78 @@ fn poses_with_opencv_axes_are_converted_and_reported() {
     }
 }
 
+/// The warnings, and the largest difference of the cameras from those of the ring.
+fn converted(change: impl Fn(DMat4) -> DMat4) -> (Vec<String>, f64) {
+    let change = |frames: &mut Vec<Value>| frames.iter_mut().for_each(|frame| change_pose(frame, &change));
+    let (capture, plain) = (imported(change).unwrap(), imported(|_| ()).unwrap());
+    let pairs = capture.train.iter().zip(&plain.train);
+    let errors = pairs.map(|(found, right)| {
+        let [found, right] = [found, right].map(|view| view.camera.to_opengl().to_cols_array());
+        largest_difference(&found, &right)
+    });
+    (capture.warnings.clone(), worst(errors))
+}
+
+#[test]
+fn world_to_camera_matrices_are_inverted_and_reported() {
+    let opencv = |pose: DMat4| DMat4::from_cols(pose.x_axis, -pose.y_axis, -pose.z_axis, pose.w_axis);
+    for (said, error) in [converted(|pose| pose.inverse()), converted(|pose| opencv(pose).inverse())] {
+        assert!(said.len() == 1 && said[0].contains("the matrices are inverted"), "{said:?}");
+        assert!(said[0].contains("with the matrices inverted all do"), "{said:?}");
+        assert!(error < 1e-9, "{error}");
+    }
+    // Around a point that is not the origin of the world.
+    let moved = DMat4::from_translation(DVec3::new(0.7, -0.4, 0.3));
+    let said = converted(|pose| (moved * pose).inverse()).0;
+    assert!(said.len() == 1 && said[0].contains("the matrices are inverted"), "{said:?}");
+    assert!(converted(|pose| pose).0.is_empty(), "the control");
+}
+
+/// Whether the poses were inverted, and whether a warning says that they may have to be.
+fn readings(poses: &[DMat4], points: &[DVec3]) -> (bool, bool) {
+    let rows = |pose: &DMat4| json!(pose.transpose().to_cols_array_2d());
+    let mut files = captured(|frames| {
+        frames.iter_mut().zip(poses).for_each(|(frame, pose)| frame["transform_matrix"] = rows(pose));
+    });
+    if !points.is_empty() {
+        add_points(&mut files, points);
+    }
+    let said = import_folder(&files).unwrap().warnings;
+    let says = |text: &str| said.iter().any(|warning| warning.contains(text));
+    (says("the matrices are inverted"), says("may be world-to-camera instead of camera-to-world: as stated"))
+}
+
+#[test]
+fn panorama_and_inverted_orbit_are_told_apart_or_reported() {
+    let looking =
+        |eye: DVec3, target: DVec3| Camera::look_at(eye, target, DVec3::Z, 0.8, (8, 6)).unwrap().to_opengl();
+    let towards = |azimuth: f64, elevation: f64| {
+        DVec3::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin())
+    };
+    let jitter = |i: usize| 0.1 * DVec3::new((i % 3) as f64, (i % 2) as f64, (i % 4) as f64);
+    let around = |i: usize| looking(3.0 * towards(i as f64, 0.2 + 0.1 * (i % 5) as f64), jitter(i)).inverse();
+    assert_eq!(
+        readings(&(0..12).map(around).collect::<Vec<_>>(), &[]),
+        (true, false),
+        "by hand, around an object"
+    );
+    // Three rows of pictures from one place: inverted, all look at the origin.
+    let eye = DVec3::new(0.0, 0.0, -2.0);
+    let turned = |i: usize| looking(eye, eye + towards(i as f64, [-0.5, 0.0, 0.5][i % 3]));
+    let panorama: Vec<DMat4> = (0..12).map(turned).collect();
+    assert_eq!(readings(&panorama, &[]), (false, true), "its cameras are upright as stated");
+    let wall = |i: usize| 4.0 * towards(0.2 * i as f64, 0.0) + DVec3::Z * ((i % 5) as f64 - 4.0);
+    let walls: Vec<DVec3> = (0..64).map(wall).collect();
+    assert!(!readings(&panorama, &walls).0, "its cameras see the points as stated");
+    // A short arc around an object: up is common in both readings, so only points decide.
+    let near = |i: usize| looking(3.0 * towards(0.08 * i as f64, 0.3), DVec3::ZERO).inverse();
+    let arc: Vec<DMat4> = (0..12).map(near).collect();
+    assert_eq!(readings(&arc, &[]), (false, true));
+    let object: Vec<DVec3> =
+        (0..64).map(|i| 0.02 * DVec3::new((i % 4) as f64, (i / 4 % 4) as f64, (i / 16) as f64)).collect();
+    assert_eq!(readings(&arc, &object), (true, false));
+}
+
 #[test]
 fn a_stray_camera_is_named_and_does_not_move_the_bounds() {
     let plain = imported(|_| ()).unwrap();
@@ -140,17 +214,23 @@ fn photographs_with_equal_pixels_are_named() {
     assert!(said.len() == 1 && said[0].contains("held out at once"), "{said:?}");
 }
 
+/// Adds a point cloud to a nerfstudio set.
+fn add_points(files: &mut Files, points: &[DVec3]) {
+    let mut set: Value = serde_json::from_slice(&files["transforms.json"]).unwrap();
+    set["ply_file_path"] = json!("points.ply");
+    files.insert("transforms.json".to_owned(), set.to_string().into_bytes());
+    let rows: String = points.iter().map(|p| format!("{} {} {}\n", p.x, p.y, p.z)).collect();
+    let header = format!("ply\nformat ascii 1.0\nelement vertex {}\n", points.len());
+    let axes = "property float x\nproperty float y\nproperty float z\n";
+    files.insert("points.ply".to_owned(), format!("{header}{axes}end_header\n{rows}").into_bytes());
+}
+
 #[test]
 fn points_that_no_camera_sees_are_reported() {
     let with_points = |offset: f64| {
         let mut files = captured(|_| ());
-        let mut set: Value = serde_json::from_slice(&files["transforms.json"]).unwrap();
-        set["ply_file_path"] = json!("points.ply");
-        files.insert("transforms.json".to_owned(), set.to_string().into_bytes());
-        let point = |i: usize| format!("{} {} {offset}\n", i % 4, i / 4);
-        let points: String = (0..16).map(point).collect();
-        let header = "ply\nformat ascii 1.0\nelement vertex 16\nproperty float x\nproperty float y\nproperty float z\n";
-        files.insert("points.ply".to_owned(), format!("{header}end_header\n{points}").into_bytes());
+        let point = |i: usize| DVec3::new((i % 4) as f64, (i / 4) as f64, offset);
+        add_points(&mut files, &(0..16).map(point).collect::<Vec<_>>());
         import_folder(&files).unwrap().warnings
     };
     let said = with_points(50.0);

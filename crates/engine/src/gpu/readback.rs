@@ -232,7 +232,11 @@ impl Gpu {
         drop(kept);
         let most = self.inner.report.max_buffer;
         if bytes > most {
-            return Err(DeviceError::TooLarge { what: "what is read back".to_owned(), needs: bytes, most });
+            return Err(DeviceError::TooLarge {
+                what: "the read-back buffer".to_owned(),
+                needs: bytes,
+                most,
+            });
         }
         let scope = self.inner.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let buffer = self.inner.device.create_buffer(&wgpu::BufferDescriptor {
@@ -242,7 +246,7 @@ impl Gpu {
             mapped_at_creation: false,
         });
         match pollster::block_on(scope.pop()) {
-            Some(_) => Err(DeviceError::OutOfMemory { what: "what is read back".to_owned(), bytes }),
+            Some(_) => Err(DeviceError::OutOfMemory { what: "the read-back buffer".to_owned(), bytes }),
             None => Ok(buffer),
         }
     }

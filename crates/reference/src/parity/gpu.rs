@@ -48,7 +48,7 @@ impl ParityBuffers {
             },
             by_buffers: gpu.upload("by buffers", &by_buffers)?,
             out: gpu.buffer("gradients", model.params.len())?,
-            globals: gpu.buffer("gradients of what is shared", model.globals.len())?,
+            globals: gpu.buffer("gradients of the shared parameters", model.globals.len())?,
             losses: gpu.buffer("losses", LOSS_SLOTS)?,
             density: gpu.buffer("density", model.len())?,
             status: gpu.buffer("status", STATUS_WORDS)?,

@@ -16,6 +16,10 @@ const OPAQUE: f32 = 20.0;
 const FLAT: f32 = -13.815_511;
 /// Greatest magnitude of a usable value.
 pub(super) const MAX_MAGNITUDE: f64 = 1e12;
+/// Greatest logarithm of a usable size: that of [`MAX_MAGNITUDE`] units of the file.
+const MAX_LOG_SCALE: f64 = 27.631_021;
+/// Least length of a quaternion with a direction.
+const MIN_QUATERNION: f32 = 1e-12;
 
 /// Columns of the values of a splat.
 pub(super) struct SplatColumns {
@@ -97,7 +101,7 @@ impl SplatColumns {
     /// True if every value of a splat is usable. Opacity may be infinite, and log-scales minus infinity.
     pub(super) fn is_usable(&self, row: &[f64]) -> bool {
         let is_number = |column: &usize| row[*column].abs() <= MAX_MAGNITUDE;
-        let is_scale = |column: &usize| row[*column] <= MAX_MAGNITUDE;
+        let is_scale = |column: &usize| row[*column] <= MAX_LOG_SCALE;
         let material = self.material.as_ref();
         self.position.iter().chain(&self.rotation).all(is_number)
             && self.scale.iter().flatten().all(is_scale)
@@ -111,6 +115,12 @@ impl SplatColumns {
         row[self.opacity] < -MAX_MAGNITUDE
     }
 
+    /// The rotation of a usable row, of any length; `None` if its quaternion is zero.
+    pub(super) fn rotation(&self, row: &[f64]) -> Option<Quat> {
+        let [w, x, y, z] = pick(row, self.rotation);
+        Some(Quat::from_xyzw(x, y, z, w)).filter(|q| q.length() > MIN_QUATERNION)
+    }
+
     /// Writes the shape and the colour of a usable row to Gaussian `i`.
     pub(super) fn read_splat(&self, row: &[f64], i: usize, out: &mut Gaussians) {
         out.row_mut(Field::Mean, i).copy_from_slice(&pick(row, self.position));
@@ -118,9 +128,7 @@ impl SplatColumns {
             .scale
             .map(|column| column.map(|c| row[c]).filter(|s| *s >= -MAX_MAGNITUDE).map_or(FLAT, |s| s as f32));
         out.row_mut(Field::LogScale, i).copy_from_slice(&scale);
-        let [w, x, y, z] = pick(row, self.rotation);
-        let q = Quat::from_xyzw(x, y, z, w);
-        let q = if q.length() > 1e-12 { q } else { Quat::IDENTITY };
+        let q = self.rotation(row).unwrap_or(Quat::IDENTITY);
         out.row_mut(Field::Quaternion, i).copy_from_slice(&[q.w, q.x, q.y, q.z]);
         let opacity = row[self.opacity];
         out.row_mut(Field::OpacityLogit, i)[0] =

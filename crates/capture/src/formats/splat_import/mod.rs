@@ -21,6 +21,7 @@ use columns::SplatColumns;
 use kinds::SplatFile;
 use relume_scene::{Gaussians, IndirectForm, Model, VisibilityForm, softplus_inverse};
 use usable::UsableRows;
+use world::Extent;
 
 /// Size of the environment of an imported model, which is uniform and white.
 const LIGHT_SIZE: (usize, usize) = (16, 8);
@@ -39,7 +40,9 @@ pub struct ImportedModel {
 /// false).
 ///
 /// An opacity of infinity is full opacity, and a log-scale of minus infinity is a size of 0. Splats of opacity 0, and up
-/// to half of the splats if they have values that are not finite, are left out with a note.
+/// to half of the splats if they have values that are not finite or above 1e12 (sizes above 1e12 units), are left out with a
+/// note. A rotation of zero becomes the identity, with a note. Splats of more than 10 times the radius of the model stay, with a
+/// note.
 ///
 /// # Errors
 /// Names the property, vertex or part of the file that is missing or wrong, and the kind of a file without splats.
@@ -50,6 +53,8 @@ pub fn decode(bytes: &[u8]) -> Result<ImportedModel, PlyError> {
     let rows = UsableRows::of(&table, &columns)?;
     notes.extend(rows.notes());
     let gaussians = read_gaussians(&table, &columns, &rows);
+    let extent = world::extent(&gaussians);
+    notes.extend(extent.huge(&gaussians, |i| rows.row_of(i)));
     let lit = columns.material.is_some();
     let mut model = Model {
         card: json!({ "imported": { "from": from, "materials": lit } }),
@@ -67,7 +72,7 @@ pub fn decode(bytes: &[u8]) -> Result<ImportedModel, PlyError> {
     // trains with compensation.
     model.shading.conserves_energy = true;
     model.shading.low_pass_compensation = stated_compensation(&table.comments).unwrap_or(lit);
-    read_metadata(&table, &mut model)?;
+    read_metadata(&table, &extent, &mut model)?;
     if columns.material.as_ref().is_none_or(|m| m.visibility.is_empty()) {
         (model.shading.visibility, model.shading.indirect) = (VisibilityForm::Off, IndirectForm::Off);
     }
@@ -118,8 +123,8 @@ fn stated_compensation(comments: &[String]) -> Option<bool> {
 }
 
 /// Reads shading options and world transform from the comments. Without them, the transform follows from the
-/// Gaussians.
-fn read_metadata(table: &PlyTable, model: &mut Model) -> Result<(), PlyError> {
+/// extent of the Gaussians.
+fn read_metadata(table: &PlyTable, extent: &Extent, model: &mut Model) -> Result<(), PlyError> {
     match table.comments.iter().find_map(|line| line.strip_prefix(METADATA_COMMENT)) {
         Some(text) => {
             let metadata: PlyMetadata = match serde_json::from_str(text) {
@@ -132,7 +137,7 @@ fn read_metadata(table: &PlyTable, model: &mut Model) -> Result<(), PlyError> {
             (model.world_scale, model.world_offset) = (metadata.world_scale, metadata.world_offset);
             (model.shading, model.framing) = (metadata.shading, metadata.framing);
         }
-        None => (model.world_scale, model.world_offset) = world::around(&model.gaussians),
+        None => (model.world_scale, model.world_offset) = extent.world(),
     }
     Ok(())
 }

@@ -9,8 +9,20 @@ use relume_scene::{Field, Gaussians, Model, NormalForm};
 /// world.
 const HELD: f64 = 0.98;
 
-/// Scale and offset of a world around the Gaussians, centred on the median of their centres.
-pub(super) fn around(gaussians: &Gaussians) -> (f64, DVec3) {
+/// Size of a Gaussian, relative to the radius of the model, above which it is huge.
+const HUGE: f64 = 10.0;
+
+/// The ball that contains most Gaussians.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Extent {
+    /// The median of the centres of the Gaussians.
+    centre: DVec3,
+    /// The distance from the centre within which [`HELD`] of the Gaussians lie; `None` if it is 0.
+    radius: Option<f64>,
+}
+
+/// The extent of Gaussians in their own units, without regard to the few that lie far away.
+pub(super) fn extent(gaussians: &Gaussians) -> Extent {
     let centres = || gaussians.field(Field::Mean).as_chunks::<3>().0.iter();
     let at_share = |mut values: Vec<f64>, share: f64| {
         values.sort_by(f64::total_cmp);
@@ -19,8 +31,35 @@ pub(super) fn around(gaussians: &Gaussians) -> (f64, DVec3) {
     let median = |axis: usize| at_share(centres().map(|c| f64::from(c[axis])).collect(), 0.5).unwrap_or(0.0);
     let centre = DVec3::new(median(0), median(1), median(2));
     let distance = |c: &[f32; 3]| (DVec3::from(c.map(f64::from)) - centre).length();
-    let radius = at_share(centres().map(distance).collect(), HELD).filter(|r| *r > 0.0);
-    (1.0 / radius.unwrap_or(1.0), -centre)
+    Extent { centre, radius: at_share(centres().map(distance).collect(), HELD).filter(|r| *r > 0.0) }
+}
+
+impl Extent {
+    /// Scale and offset of a world that is this ball.
+    pub(super) fn world(&self) -> (f64, DVec3) {
+        (1.0 / self.radius.unwrap_or(1.0), -self.centre)
+    }
+
+    /// A note on Gaussians whose largest standard deviation is more than [`HUGE`] times the radius. `row_of` gives the vertex of
+    /// a Gaussian.
+    pub(super) fn huge(
+        &self,
+        gaussians: &Gaussians,
+        row_of: impl Fn(usize) -> Option<usize>,
+    ) -> Option<String> {
+        let limit = HUGE * self.radius?;
+        let sizes = gaussians.field(Field::LogScale).as_chunks::<3>().0.iter();
+        let largest = sizes.map(|log| f64::from(log.iter().copied().fold(f32::NEG_INFINITY, f32::max)).exp());
+        let huge: Vec<usize> =
+            largest.enumerate().filter(|(_, size)| *size > limit).map(|(i, _)| i).collect();
+        let first = row_of(*huge.first()?)?;
+        Some(format!(
+            "{} of {} splats are larger than {HUGE} times the radius of the model (standard deviations above {limit:.3} units), and may \
+             cover the whole picture; if they are errors, remove them in the program that wrote the file; the first is vertex {first}",
+            huge.len(),
+            gaussians.len()
+        ))
+    }
 }
 
 /// Converts the Gaussians from capture units to the world of `model`.

@@ -107,6 +107,7 @@ fn stream_matches_the_model_within_quantisation_steps() {
         ("metal", Field::MetalLogit, 12.0, 2e-5),
         ("rough", Field::RoughLogit, 12.0, 2e-5),
         ("sheen", Field::Sheen, 3.0, 2e-5),
+        ("sampling_rate", Field::SamplingRate, 1e9, 6e-4),
         ("visibility", Field::Visibility, 1e9, 4.1e-3),
     ] {
         let found = error(&read, name, &rows(&model.gaussians, field, most));

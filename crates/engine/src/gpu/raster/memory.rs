@@ -51,7 +51,7 @@ impl Raster {
             gpu: gpu.clone(),
             nothing: gpu.buffer("nothing", 4)?,
             counts: gpu.buffer("raster counts", 4)?,
-            list_status: gpu.upload("what is listed", &[0; LIST_STATUS_WORDS])?,
+            list_status: gpu.upload("status of the tile lists", &[0; LIST_STATUS_WORDS])?,
             capacity: 0,
             oversized: OversizedViews::default(),
             last: RasterCounts::default(),

@@ -84,7 +84,8 @@ impl GpuTraining {
             photos: DevicePhotoCache::default(),
             image_buffers: None,
             losses: gpu.buffer("losses", LOSS_SLOTS)?,
-            globals_gradient: gpu.buffer("gradient of what is shared", on_device.model.globals.len())?,
+            globals_gradient: gpu
+                .buffer("gradient of the shared parameters", on_device.model.globals.len())?,
             status: gpu.buffer("status", STATUS_WORDS)?,
             gpu: gpu.clone(),
             shape: state.model,
@@ -228,7 +229,7 @@ impl training::TrainingEngine for GpuTraining {
         self.sh_degree = operators.sh_degree();
         self.change_operators(operators)?;
         self.globals_gradient =
-            self.gpu.buffer("gradient of what is shared", self.state.model.globals.len())?;
+            self.gpu.buffer("gradient of the shared parameters", self.state.model.globals.len())?;
         self.take_snapshot()
     }
 

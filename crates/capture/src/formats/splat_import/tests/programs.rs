@@ -102,6 +102,32 @@ fn single_broken_splats_are_left_out_with_a_count() {
 }
 
 #[test]
+fn rotations_of_zero_become_the_identity_with_a_count() {
+    let import = decode(&with_second(|row| row[10..].fill(0.0))).unwrap();
+    assert_eq!(import.model.gaussians.row(Field::Quaternion, 1), [1.0, 0.0, 0.0, 0.0]);
+    let note = &import.notes[0];
+    assert!(note.contains("1 of 4 splats") && note.contains("rotation of zero"), "{note}");
+    assert!(note.ends_with("vertex 1") && import.notes.len() == 1, "{:?}", import.notes);
+    let unnormalised = decode(&with_second(|row| row[10..].copy_from_slice(&[0.0, 0.0, 0.0, 1e-3]))).unwrap();
+    assert!(unnormalised.notes.is_empty(), "the control: {:?}", unnormalised.notes);
+}
+
+#[test]
+fn huge_splats_are_counted_and_overflowing_ones_left_out() {
+    // The four centres lie within 2 units of their median.
+    let with_size = |size: f64| decode(&with_second(|row| row[8] = size.ln())).unwrap();
+    let huge = with_size(40.0);
+    let note = &huge.notes[0];
+    assert!(note.contains("1 of 4 splats are larger than 10 times the radius"), "{note}");
+    assert!(note.ends_with("vertex 1") && huge.model.gaussians.len() == 4, "{note}");
+    assert_eq!(huge.model.card["imported"]["notes"][0], note.as_str());
+    assert!(with_size(9.0).notes.is_empty(), "the control: a large one, as of the sky");
+    let overflowing = decode(&with_second(|row| row[8] = 90.0)).unwrap();
+    assert_eq!(overflowing.model.gaussians.len(), 3);
+    assert!(overflowing.notes[0].contains("not finite or too large"), "{:?}", overflowing.notes);
+}
+
+#[test]
 fn files_with_mostly_broken_or_no_splats_are_refused() {
     let mut broken = row(0.0);
     broken[0] = f64::NAN;
