@@ -8,8 +8,10 @@ mod illumination;
 mod image;
 pub mod light;
 mod model;
+mod opaque_extent;
 mod output;
 mod packed_image;
+mod photographed_views;
 pub mod srgb;
 
 pub use camera::{Camera, CameraError};
@@ -24,6 +26,10 @@ pub use model::{
     DiffuseForm, Framing, IndirectForm, Model, ModelError, NormalForm, ShadeAt, ShadingOptions,
     VisibilityForm, softplus, softplus_inverse,
 };
+pub use opaque_extent::{opaque_centre, opaque_radius};
 pub use output::Output;
 pub use packed_image::{BitDepth, PackedImage};
+pub use photographed_views::{
+    NearestPhotograph, PhotographedDirection, PhotographedViews, UNSEEN_DEG, direction_of,
+};
 pub use relume_layout::{Field, FieldWidth, LightSplit, MAX_LIGHTS, SplitLight};
