@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use crate::{CaptureView, SceneBounds, rig};
-use relume_scene::{Camera, Framing};
+use relume_scene::{Camera, FRAME_MARGIN, Framing};
 
 /// Radius of the object relative to the ball that a camera sees completely.
 const CORNER_MARGIN: f64 = 1.15;
@@ -55,8 +55,8 @@ pub fn focus_region(cameras: &[&Camera]) -> (DVec3, f64) {
     (centre, positive(quantile(cameras.iter().map(radius).collect(), 0.5)))
 }
 
-/// The ball that a camera sees completely: the point that the cameras look at, and the radius around it that fills the shorter side of
-/// the median camera's image. `None` if their optical axes are too parallel to determine a point.
+/// The ball that the photographs show completely: the point that the cameras look at, and the radius around it that fills the shorter
+/// side of the median camera's image with the margin [`FRAME_MARGIN`]. `None` if their optical axes are too parallel to determine a point.
 pub fn shown_ball(cameras: &[&Camera]) -> Option<(DVec3, f64)> {
     let axes = axes_of(cameras);
     if axes.normal.determinant() < MIN_CONVERGENCE * axes.count.powi(3) || axes.count < 2.0 {
@@ -64,7 +64,7 @@ pub fn shown_ball(cameras: &[&Camera]) -> Option<(DVec3, f64)> {
     }
     let centre = axes.nearest_point();
     let radius = |camera: &&Camera| (camera.centre() - centre).length() * half_angle(camera).sin();
-    let radius = quantile(cameras.iter().map(radius).collect(), 0.5);
+    let radius = quantile(cameras.iter().map(radius).collect(), 0.5) / FRAME_MARGIN;
     (centre.is_finite() && radius > 0.0).then_some((centre, radius))
 }
 

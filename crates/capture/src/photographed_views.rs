@@ -96,6 +96,7 @@ fn significant(length: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::shown_ball;
+    use relume_scene::FRAME_MARGIN;
 
     const FOV: f64 = 0.7;
 
@@ -123,7 +124,12 @@ mod tests {
         assert!((found.elevation_deg - 25.0).abs() < 2e-3);
         assert!((found.azimuth_deg - -160.0).abs() < 2e-3, "that of the first photograph");
         assert!((found.fov_deg - FOV.to_degrees()).abs() < 2e-3, "the shorter side");
-        assert!((found.radius - 3.0 * (0.5 * FOV).sin()).abs() < 1e-5);
+        assert!((found.radius - 3.0 * (0.5 * FOV).sin() / FRAME_MARGIN).abs() < 1e-5);
+        let (distance, fov) = found.distance_and_fov();
+        assert!(
+            (distance - 3.0).abs() < 1e-4 && (fov - FOV.to_degrees()).abs() < 2e-3,
+            "a view as the photographs"
+        );
         assert_eq!(found.photographs.len(), 12);
         let nearest = found.nearest(direction_of(230.0 + 14.0, 25.0)).unwrap();
         assert!((12.0..14.0).contains(&nearest.angle_deg) && nearest.name == "IMG_0001.jpg", "{nearest:?}");
@@ -133,8 +139,7 @@ mod tests {
 
     #[test]
     fn arc_of_cameras_leaves_its_other_side_unseen() {
-        let arc: Vec<Camera> =
-            (0..7).map(|i| camera(DVec3::ZERO, 10.0 * f64::from(i), 40.0, true)).collect();
+        let arc: Vec<Camera> = (0..7).map(|i| camera(DVec3::ZERO, 10.0 * f64::from(i), 40.0, true)).collect();
         let found = views(&arc).unwrap();
         let eye = |azimuth: f64| 3.0 * direction_of(azimuth, 40.0);
         assert_eq!(found.unseen(eye(33.0)), None, "the control: between two photographs");

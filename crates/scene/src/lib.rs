@@ -30,6 +30,6 @@ pub use opaque_extent::{opaque_centre, opaque_radius};
 pub use output::Output;
 pub use packed_image::{BitDepth, PackedImage};
 pub use photographed_views::{
-    NearestPhotograph, PhotographedDirection, PhotographedViews, UNSEEN_DEG, direction_of,
+    FRAME_MARGIN, NearestPhotograph, PhotographedDirection, PhotographedViews, UNSEEN_DEG, direction_of,
 };
 pub use relume_layout::{Field, FieldWidth, LightSplit, MAX_LIGHTS, SplitLight};

@@ -90,7 +90,8 @@ mod tests {
     #[test]
     fn extent_is_that_of_the_surface_without_haze_and_floaters() {
         let at = DVec3::new(0.3, -0.1, 0.2);
-        let others = [([-0.9, 0.0, 0.0], 3.0, 0.0), ([0.0, 0.9, 0.0], -3.0, -3.0), ([0.0, 0.0, -0.9], 3.0, -4.5)];
+        let others =
+            [([-0.9, 0.0, 0.0], 3.0, 0.0), ([0.0, 0.9, 0.0], -3.0, -3.0), ([0.0, 0.0, -0.9], 3.0, -4.5)];
         let g = sphere(at, 0.4, &others);
         let centre = opaque_centre(&g, DVec3::ZERO, 1.0).unwrap();
         assert!((centre - at).length() < 0.02, "{centre}");

@@ -9,7 +9,7 @@ use serde_json::Value;
 /// Angle from the nearest photograph above which a view shows parts that may not have been photographed, degrees.
 pub const UNSEEN_DEG: f64 = 20.0;
 /// Radius of the ball that the default view frames, relative to that of the subject.
-const FRAME_MARGIN: f64 = 1.1;
+pub const FRAME_MARGIN: f64 = 1.1;
 /// Least field of view of the default view, relative to that of the photographs.
 const MIN_FOV_SHARE: f64 = 0.1;
 

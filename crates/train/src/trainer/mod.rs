@@ -2,6 +2,7 @@
 
 mod card;
 mod crop;
+mod photographed_views;
 mod photographs;
 mod preparation;
 mod step_results;
