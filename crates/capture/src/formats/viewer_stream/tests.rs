@@ -121,7 +121,7 @@ fn stream_matches_the_model_within_quantisation_steps() {
 }
 
 #[test]
-fn stream_has_photographed_views_only_of_models_that_record_them() {
+fn stream_has_photographed_views_of_models_that_record_them() {
     let header = |card| read(&encode_gaussians(&Model { card, ..model() }, &FRAMING), b"RLMG").header;
     let views = serde_json::json!({
         "target": [0.0, 0.0, 0.0], "radius": 1.0, "distance": 3.0, "azimuth_deg": 10.0, "elevation_deg": 20.0, "fov_deg": 40.0,
