@@ -51,7 +51,6 @@ function prepare(key) {
         context.drawImage(picture, 0, 0);
         return context.getImageData(0, 0, picture.width, picture.height).data;
     };
-    const radians = (degrees) => (degrees * Math.PI) / 180;
     window.tools = {
         /** Shows a square viewer, waits until it is ready and returns its mode. */
         async show(attributes, side) {
@@ -71,10 +70,8 @@ function prepare(key) {
         },
         /** The server's frame for the camera of the viewer. */
         async frame(model, environment, side, more) {
-            const { azimuth, elevation, distance, target, fov } = window.viewer.camera();
-            const [a, e] = [radians(azimuth), radians(elevation)];
-            const away = [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)];
-            const look_at = { eye: target.map((t, k) => t + distance * away[k]), target, fov_y_deg: fov };
+            const { eye, target, fov } = window.viewer.camera();
+            const look_at = { eye, target, fov_y_deg: fov };
             const body = JSON.stringify({ camera: { look_at }, environment, width: side, height: side, tier: 'standard', ...more });
             const answer = await fetch(`/v1/models/${model}/render`, { method: 'POST', headers, body });
             if (!answer.ok) throw new Error(await answer.text());

@@ -56,6 +56,7 @@ mod service_upload_answers;
 mod service_uploads;
 mod service_validation;
 mod service_viewer;
+mod service_views;
 mod service_web;
 mod stored_files;
 mod traces;

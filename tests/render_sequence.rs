@@ -44,6 +44,26 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
+fn render_starts_at_the_first_photograph_and_can_warn() {
+    let folder = with_model();
+    let at = folder.path();
+    let light = ["render", "m.safetensors", "--env", "studio", "--device", "cpu", "--size", "24"];
+    let made = |more: &[&str]| {
+        let said = succeeds(at, &[&light[..], more, &["--out", "one.png"]].concat());
+        (fs::read(at.join("one.png")).unwrap(), said)
+    };
+    let (default, said) = made(&[]);
+    assert!(!said.contains("nearest photograph"), "{said}");
+    assert!(made(&["--azimuth", "0"]).0 == default, "azimuth 0 is the first photograph");
+    assert!(made(&["--azimuth", "90"]).0 != default, "the control");
+    let (_, said) = made(&["--elevation", "-80"]);
+    assert!(said.contains("warning: this view is") && said.contains("the nearest photograph ("), "{said}");
+    let turntable = ["--turntable", "4", "--elevation", "-80", "--out", "f/%d.png"];
+    let said = succeeds(at, &[&light[..], &turntable].concat());
+    assert!(said.contains("warning: 4 of 4 views are more than 20 degrees"), "{said}");
+}
+
+#[test]
 fn turntable_frames_equal_single_renders_and_can_be_resumed() {
     let folder = with_model();
     let at = folder.path();

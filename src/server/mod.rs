@@ -44,6 +44,7 @@ mod negotiate;
 mod opened_captures;
 mod origins;
 mod outbound;
+mod photograph_angle;
 mod photographs;
 mod poses;
 mod previews;

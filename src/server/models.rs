@@ -17,6 +17,7 @@ use relume_api::metadata::MetadataChange;
 use relume_api::models::{FileView, ModelSummary, ModelView};
 use relume_api::{List, ModelId, ResourceKind, TenantId};
 use relume_capture::Up;
+use relume_scene::PhotographedViews;
 use relume_train::up_of_card;
 
 /// Name of the file with the model.
@@ -110,6 +111,16 @@ async fn find(app: &AppState, tenant: &TenantId, id: &ModelId) -> Result<ModelRe
 /// The up direction of the model's world, with which its capture and camera files in the axes of the capture are read.
 pub(super) async fn world_of(app: &AppState, tenant: &TenantId, id: &ModelId) -> Result<Up, Problem> {
     up_of_card(&find(app, tenant, id).await?.card).map_err(Problem::internal)
+}
+
+/// The directions from which the model's subject was photographed, if the model records them and exists.
+pub(super) async fn photographed_views(
+    app: &AppState,
+    tenant: &TenantId,
+    id: &ModelId,
+) -> Result<Option<PhotographedViews>, Problem> {
+    let model = app.store.model(tenant, id).await?;
+    Ok(model.and_then(|model| PhotographedViews::of_card(&model.card)))
 }
 
 /// The model as a source for rendering, and its content hash.

@@ -5,8 +5,10 @@ use std::str::FromStr;
 use axum::http::{HeaderName, HeaderValue, Method, Uri, header};
 use tower_http::cors::{AllowHeaders, AllowMethods, AllowOrigin, CorsLayer, ExposeHeaders};
 
+use crate::server::photograph_angle;
+
 /// Headers that pages may read in addition to the CORS-safelisted ones.
-const EXPOSED: [HeaderName; 26] = [
+const EXPOSED: [HeaderName; 27] = [
     header::ACCEPT_RANGES,
     header::ALLOW,
     header::CONTENT_DISPOSITION,
@@ -20,6 +22,7 @@ const EXPOSED: [HeaderName; 26] = [
     HeaderName::from_static("ratelimit"),
     HeaderName::from_static("ratelimit-policy"),
     HeaderName::from_static("relume-depth-range"),
+    photograph_angle::PHOTOGRAPH_ANGLE,
     HeaderName::from_static("relume-step"),
     HeaderName::from_static("repr-digest"),
     HeaderName::from_static("server-timing"),

@@ -39,7 +39,7 @@ struct PreviewQuery {
     /// Side of the square image, 16 to 1024 pixels. Omitted: 256.
     #[param(minimum = 16, maximum = 1024)]
     size: Option<u32>,
-    /// Azimuth of the camera, degrees counter-clockwise seen from above. Omitted: as in a thumbnail.
+    /// Azimuth of the camera, degrees counter-clockwise seen from above. 0, and omitted: as in a thumbnail.
     azimuth: Option<f64>,
     /// Elevation of the camera, degrees above the horizon, -90 to 90. Omitted: as in a thumbnail.
     #[param(minimum = -90, maximum = 90)]

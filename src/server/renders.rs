@@ -14,7 +14,7 @@ use crate::server::lights::light;
 use crate::server::memory::frame_bytes;
 use crate::server::problem::Problem;
 use crate::server::render_request::{camera, quality};
-use crate::server::{models, negotiate, render_request};
+use crate::server::{models, negotiate, photograph_angle, render_request};
 use crate::worker::RenderTask;
 use relume_api::ModelId;
 use relume_api::renders::RenderRequest;
@@ -41,6 +41,9 @@ pub(super) fn routes() -> OpenApiRouter<AppState> {
 ///
 /// An EXR is multi-part and linear and contains every requested output. Colours are premultiplied. Its
 /// attributes contain the camera (`worldToCamera`), the model and the light.
+///
+/// If the model records its photographs, the header `relume-photograph-angle` has the angle between the camera
+/// and the nearest photograph, in degrees. Parts that no photograph shows are a guess.
 #[utoipa::path(
     post, path = "/v1/models/{id}/render", tag = "models",
     params(("id" = String, Path, description = "Model identifier")),
@@ -78,7 +81,12 @@ async fn render(
         outputs: request.outputs,
     };
     let encoding = EncodeOptions { frame_metadata: notes(&task, Some(camera)), ..encoding };
-    Ok(respond(render_frame(&app, task, format, encoding).await?, format))
+    let views = models::photographed_views(&app, &caller.tenant, &id).await?;
+    let mut response = respond(render_frame(&app, task, format, encoding).await?, format);
+    if let Some(views) = views {
+        photograph_angle::insert(response.headers_mut(), &views, camera.centre() - views.target);
+    }
+    Ok(response)
 }
 
 /// The metadata of an image file.

@@ -16,7 +16,7 @@ use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
 use crate::server::lights::named_light;
 use crate::server::problem::Problem;
-use crate::server::{models, renders};
+use crate::server::{models, photograph_angle, renders};
 use crate::store::hex;
 use crate::worker::{LightSource, RenderTask};
 use relume_api::{ModelId, TenantId};
@@ -38,12 +38,14 @@ pub struct ThumbnailQuery {
     /// Side of the square image, 16 to 1024 pixels. Omitted: 256.
     #[param(minimum = 16, maximum = 1024)]
     pub size: Option<u32>,
-    /// Azimuth of the camera, degrees counter-clockwise seen from above; 0 is the +x side. Omitted: 0; for a
-    /// capture without masks, the direction from the middle of its photographs, because from other sides
-    /// unphotographed areas can occlude the scene.
+    /// Azimuth of the camera, degrees counter-clockwise seen from above. For a model whose card has
+    /// `photographed_views`, 0 is the first photograph. For other models (older ones, rooms, imported ones) 0
+    /// is the +x side. Omitted: 0; for an older model of a capture without masks, the direction from the
+    /// middle of its photographs.
     pub azimuth: Option<f64>,
-    /// Elevation of the camera, degrees above the horizon, -90 to 90. Omitted: 20; for a capture without
-    /// masks, as for `azimuth`.
+    /// Elevation of the camera, degrees above the horizon, -90 to 90. Omitted: the median of the photographs
+    /// for a model whose card has `photographed_views`. For other models 20, or for a capture without masks as
+    /// for `azimuth`.
     #[param(minimum = -90, maximum = 90)]
     pub elevation: Option<f64>,
     /// Quality tier: `preview`, `standard` or `high`. Omitted: `preview`.
@@ -65,7 +67,7 @@ pub struct ThumbnailQuery {
 ///
 /// Renders a square image of the model. The same URL always gives the same image, so caches can keep it. The
 /// server computes the `ETag` without rendering; `HEAD` returns it and renders nothing. The server caches
-/// images on its disk.
+/// images on its disk. The header `relume-photograph-angle` is that of a render.
 #[utoipa::path(
     get, path = "/v1/models/{id}/thumbnail", tag = "models",
     params(("id" = String, Path, description = "Model identifier"), ThumbnailQuery),
@@ -109,7 +111,12 @@ async fn thumbnail(
             outputs,
         };
         let picture = ThumbnailRequest { tenant: &caller.tenant, digest: &digest, format };
-        found_or_rendered(&app, task, encoding, &picture).await?
+        let mut response = found_or_rendered(&app, task, encoding, &picture).await?;
+        if let Some(views) = models::photographed_views(&app, &caller.tenant, &id).await? {
+            let direction = views.direction(orbit.azimuth_deg, orbit.elevation_deg);
+            photograph_angle::insert(response.headers_mut(), &views, direction);
+        }
+        response
     };
     let out = response.headers_mut();
     out.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);

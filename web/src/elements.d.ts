@@ -12,6 +12,7 @@ declare module 'preact' {
         background?: string
         output?: string
         'auto-rotate'?: string | undefined
+        photographed?: string | undefined
         azimuth?: number
         elevation?: number
         distance?: number

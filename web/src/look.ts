@@ -14,9 +14,12 @@ export interface Look {
 
 /** The camera of a viewer. */
 export interface View {
+  /** Degrees from the first photograph if the model records it, as the API counts it. */
   azimuth: number
   elevation: number
   distance: number
+  /** Position, capture units. */
+  eye: [number, number, number]
   target: [number, number, number]
   fov: number
 }
@@ -69,10 +72,7 @@ export function environment(look: Look, builtin: string[]): NonNullable<RenderRe
 
 /** The render request for the picture of a viewer. */
 export function requestOf(look: Look, view: View, builtin: string[], [width, height]: [number, number]): RenderRequest {
-  const [a, e] = [(view.azimuth * Math.PI) / 180, (view.elevation * Math.PI) / 180]
-  const [x, y, z] = view.target
-  const away = [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)] as const
-  const eye = [x + view.distance * away[0], y + view.distance * away[1], z + view.distance * away[2]].map((value) => Number(value.toPrecision(6)))
+  const eye = view.eye.map((value) => Number(value.toPrecision(6)))
   const camera = { look_at: { eye, target: view.target, up: [0, 0, 1], fov_y_deg: view.fov } }
   return { camera, environment: environment(look, builtin), width, height, outputs: [API_OUTPUTS[look.output] ?? look.output], background: backgroundOf(look) }
 }

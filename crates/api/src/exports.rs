@@ -195,7 +195,8 @@ pub struct TurntableSpec {
     /// Number of frames, 1 to 10,000.
     #[schema(minimum = 1, maximum = 10_000)]
     pub frames: u32,
-    /// Azimuth of the first frame, degrees counter-clockwise seen from above. Omitted: as in a thumbnail.
+    /// Azimuth of the first frame, degrees counter-clockwise seen from above. 0, and omitted: as in a
+    /// thumbnail.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub azimuth_deg: Option<f64>,
     /// Elevation, degrees above the horizon, -90 to 90. Omitted: as in a thumbnail.

@@ -3,13 +3,16 @@
 use glam::{DMat3, DVec3};
 
 use crate::{CaptureView, SceneBounds, rig};
-use relume_scene::{Camera, Framing};
+use relume_scene::{Camera, FRAME_MARGIN, Framing};
 
 /// Radius of the object relative to the ball that a camera sees completely.
 const CORNER_MARGIN: f64 = 1.15;
 /// Size of a room relative to the distance of the cameras from their middle, for cameras that look outwards. People turn round on
 /// the spot with an arm's length of movement; a room is several metres wide.
 const ROOM: f64 = 10.0;
+/// Least determinant of the summed projections across the optical axes, per axis cubed, at which they determine a point: axes that
+/// spread by a standard deviation of about 2 degrees.
+const MIN_CONVERGENCE: f64 = 1e-3;
 
 /// The region of interest.
 ///
@@ -52,6 +55,27 @@ pub fn focus_region(cameras: &[&Camera]) -> (DVec3, f64) {
     (centre, positive(quantile(cameras.iter().map(radius).collect(), 0.5)))
 }
 
+/// The ball that the photographs show completely: the point that the cameras look at, and the radius around it that fills the shorter
+/// side of the median camera's image with the margin [`FRAME_MARGIN`]. `None` if their optical axes are too parallel to determine a point.
+pub fn shown_ball(cameras: &[&Camera]) -> Option<(DVec3, f64)> {
+    let axes = axes_of(cameras);
+    if axes.normal.determinant() < MIN_CONVERGENCE * axes.count.powi(3) || axes.count < 2.0 {
+        return None;
+    }
+    let centre = axes.nearest_point();
+    let radius = |camera: &&Camera| (camera.centre() - centre).length() * half_angle(camera).sin();
+    let radius = quantile(cameras.iter().map(radius).collect(), 0.5) / FRAME_MARGIN;
+    (centre.is_finite() && radius > 0.0).then_some((centre, radius))
+}
+
+/// Half the field of view of the shorter side of a camera's image, radians.
+pub(super) fn half_angle(camera: &Camera) -> f64 {
+    f64::min(
+        (0.5 * f64::from(camera.width) / camera.fx).atan(),
+        (0.5 * f64::from(camera.height) / camera.fy).atan(),
+    )
+}
+
 /// The default view of a model: the camera in the middle of all directions, pointed at the point nearest to all
 /// optical axes. The field of view is that of the camera's shorter side. `None` without cameras, or if the camera
 /// lies at that point.
@@ -61,11 +85,7 @@ pub fn framing(cameras: &[&Camera]) -> Option<Framing> {
     let middle = cameras.iter().map(|camera| direction(camera)).sum::<DVec3>();
     let nearness = |camera: &Camera| direction(camera).dot(middle);
     let camera = cameras.iter().max_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
-    let half_angle = f64::min(
-        (0.5 * f64::from(camera.width) / camera.fx).atan(),
-        (0.5 * f64::from(camera.height) / camera.fy).atan(),
-    );
-    Framing { eye: camera.centre(), target, fov_deg: 2.0 * half_angle.to_degrees() }.checked()
+    Framing { eye: camera.centre(), target, fov_deg: 2.0 * half_angle(camera).to_degrees() }.checked()
 }
 
 fn from_points(cameras: &[&Camera], points: &[(DVec3, [f32; 3])]) -> SceneBounds {
@@ -81,7 +101,7 @@ fn positive(radius: f64) -> f64 {
 }
 
 /// The `q`-quantile of `values`, nearest rank; 0 when there are none.
-fn quantile(mut values: Vec<f64>, q: f64) -> f64 {
+pub(super) fn quantile(mut values: Vec<f64>, q: f64) -> f64 {
     if values.is_empty() {
         return 0.0;
     }
@@ -89,30 +109,56 @@ fn quantile(mut values: Vec<f64>, q: f64) -> f64 {
     *values.select_nth_unstable_by(index, f64::total_cmp).1
 }
 
+/// Sums over optical axes, each an origin and a unit direction.
+#[derive(Default)]
+struct Axes {
+    /// Sum of the projections across the axes.
+    normal: DMat3,
+    /// Sum of the projected origins.
+    moment: DVec3,
+    /// Sum of the points one unit in front of the cameras.
+    ahead: DVec3,
+    count: f64,
+}
+
+impl Axes {
+    fn of(axes: impl Iterator<Item = (DVec3, DVec3)>) -> Self {
+        let mut sums = Self { normal: DMat3::ZERO, ..Self::default() };
+        for (eye, d) in axes {
+            let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+            sums.normal += across;
+            sums.moment += across * eye;
+            sums.ahead += eye + d;
+            sums.count += 1.0;
+        }
+        sums
+    }
+
+    /// See [`nearest_to_axes`].
+    fn nearest_point(&self) -> DVec3 {
+        if self.normal.determinant() > 1e-6 * self.count.powi(3) {
+            return self.normal.inverse() * self.moment;
+        }
+        self.ahead / self.count.max(1.0)
+    }
+}
+
 /// The point with the least summed squared distance to the axes, each an origin and a unit direction. When the axes are nearly parallel, so
 /// that this point is not well defined: the mean of the points one unit in front of the cameras.
 pub(super) fn nearest_to_axes(axes: impl Iterator<Item = (DVec3, DVec3)>) -> DVec3 {
-    let mut normal = DMat3::ZERO;
-    let mut moment = DVec3::ZERO;
-    let (mut ahead, mut count) = (DVec3::ZERO, 0.0f64);
-    for (eye, d) in axes {
-        let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-        normal += across;
-        moment += across * eye;
-        ahead += eye + d;
-        count += 1.0;
-    }
-    if normal.determinant() > 1e-6 * count.powi(3) {
-        return normal.inverse() * moment;
-    }
-    ahead / count.max(1.0)
+    Axes::of(axes).nearest_point()
 }
 
 /// The point that the cameras look at, without stray cameras.
 fn looked_at(cameras: &[&Camera]) -> DVec3 {
+    axes_of(cameras).nearest_point()
+}
+
+/// The optical axes of the cameras, without stray cameras.
+fn axes_of(cameras: &[&Camera]) -> Axes {
     let strays = rig::strays(&cameras.iter().map(|c| c.centre()).collect::<Vec<_>>());
     let usual = cameras.iter().enumerate().filter(|(i, _)| !strays.contains(i));
-    nearest_to_axes(usual.map(|(_, camera)| (camera.centre(), camera.forward())))
+    Axes::of(usual.map(|(_, camera)| (camera.centre(), camera.forward())))
 }
 
 /// Radius of the largest ball around `centre` inside the camera's frustum; `None` when the centre is outside.

@@ -9,8 +9,10 @@ mod illumination;
 mod image;
 pub mod light;
 mod model;
+mod opaque_extent;
 mod output;
 mod packed_image;
+mod photographed_views;
 pub mod srgb;
 
 pub use camera::{Camera, CameraError};
@@ -26,6 +28,10 @@ pub use model::{
     DiffuseForm, Framing, IndirectForm, Model, ModelError, NormalForm, ShadeAt, ShadingOptions,
     VisibilityForm, softplus, softplus_inverse,
 };
+pub use opaque_extent::{opaque_centre, opaque_radius};
 pub use output::Output;
 pub use packed_image::{BitDepth, PackedImage};
+pub use photographed_views::{
+    FRAME_MARGIN, NearestPhotograph, PhotographedDirection, PhotographedViews, UNSEEN_DEG, direction_of,
+};
 pub use relume_layout::{Field, FieldWidth, LightSplit, MAX_LIGHTS, SplitLight};

@@ -78,12 +78,12 @@ impl RenderArgs {
 /// Options for the camera.
 #[derive(Debug, clap::Args)]
 pub(super) struct CameraArgs {
-    /// Azimuth of the camera, degrees counter-clockwise seen from above; 0 is the +x side. Default: the azimuth of the model's
-    /// framing (models of captures without masks have one), otherwise 0.
+    /// Azimuth of the camera, degrees counter-clockwise seen from above, from the first photograph. For models that do not record
+    /// their photographs, 0 is the +x side. Default: 0; for models without the record, the azimuth of their framing if they have one.
     #[arg(long, allow_negative_numbers = true, value_parser = finite)]
     pub(super) azimuth: Option<f64>,
-    /// Elevation of the camera, degrees above the horizon, -90 to 90. Default: the elevation of the model's framing, otherwise
-    /// 20.
+    /// Elevation of the camera, degrees above the horizon, -90 to 90. Default: the median of the photographs; for models that do not
+    /// record them, the elevation of their framing, otherwise 20.
     #[arg(long, allow_negative_numbers = true, value_parser = up_to::<90>)]
     pub(super) elevation: Option<f64>,
     /// Width and height of the image, pixels.

@@ -6,6 +6,7 @@ mod frame_list;
 mod numbering;
 mod sequence;
 mod session;
+mod unseen;
 mod views;
 
 use std::path::Path;
@@ -29,6 +30,9 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
     let file_cameras = args.cameras.path.as_deref().map(|file| camera_file::read(file, &args.cameras, up));
     let file_cameras = file_cameras.transpose()?;
     let views = views::views(&args.cameras, file_cameras, session.model())?;
+    if let Some(warning) = unseen::warning(&views, &session.model().card) {
+        eprintln!("warning: {warning}");
+    }
     match (numbering, views.as_slice()) {
         (None, [view]) => sequence::single(&session, view, &args.out),
         (None, _) => Err(format!("{}: {}", args.out.display(), Numbering::WANTED).into()),

@@ -71,6 +71,7 @@ function Theatre(props: { model: Model; look: Look; query: URLSearchParams; ligh
   const [start] = useState(() => readView(props.query))
   const [mode, setMode] = useState<string>()
   const [turning, setTurning] = useState(false)
+  const [marked, setMarked] = useState(true)
   const [error, setError] = useState<string>()
   const [told, setTold] = useState('')
   useEffect(() => {
@@ -111,6 +112,7 @@ function Theatre(props: { model: Model; look: Look; query: URLSearchParams; ligh
           background={backgroundOf(look)}
           output={look.output}
           auto-rotate={turning ? '' : undefined}
+          photographed={marked ? '' : undefined}
           apiKey={apiKey()}
           {...start}
         />
@@ -120,6 +122,7 @@ function Theatre(props: { model: Model; look: Look; query: URLSearchParams; ligh
         <button type="button" onClick={() => void act(keep())}>Save the frame</button>
         <button type="button" onClick={() => void act(copy(location.href, 'The link'))}>Copy the link</button>
         <button type="button" aria-pressed={turning} onClick={() => setTurning(!turning)}>{turning ? 'Stop turning' : 'Turn'}</button>
+        {(model.card as Card).photographed_views ? <button type="button" aria-pressed={marked} onClick={() => setMarked(!marked)}>Photographed directions</button> : null}
         <span class="hint">Drag or arrow keys turn, wheel or + − approach</span>
       </div>
       <p class="small muted" role="status">{told}</p>
@@ -153,6 +156,7 @@ interface Card {
   steps?: number
   photographs?: number
   engine?: string
+  photographed_views?: unknown
   config?: { preset?: string }
 }
 

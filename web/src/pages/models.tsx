@@ -16,7 +16,7 @@ export function ModelsPage() {
       <ul class="tiles">
         {items?.map((model) => (
           <li class="tile" key={model.id}>
-            <div class="stage"><Picture path={`v1/models/${model.id}/thumbnail?size=320&env=studio&azimuth=35`} alt="" /></div>
+            <div class="stage"><Picture path={`v1/models/${model.id}/thumbnail?size=320&env=studio`} alt="" /></div>
             <div class="text">
               <a class="over" href={link(['models', model.id])}>{called(model, 'Model')}</a>
               <p class="muted small">{count(model.gaussians)} Gaussians · {moment(model.created_at)}</p>

@@ -1,19 +1,30 @@
 import type { Engine, EngineListener, ViewerMode } from './engine'
 import { Frames, type Look } from './frames'
 import { LiveView } from './live'
-import { Orbit, type OrbitView } from './orbit'
+import { eye, Orbit, type OrbitView } from './orbit'
+import { PhotographedMap } from './photographed'
 import { ServedView } from './served'
 
 export type { ViewerMode } from './engine'
 
-/** The detail of the event `relume-view`: the camera, in degrees and capture units. */
-export type ViewDetail = OrbitView
+/** The detail of the event `relume-view`: the camera with its position `eye`, in degrees and capture units. */
+export interface ViewDetail extends OrbitView {
+  eye: [number, number, number]
+}
 
 const SHEET = new CSSStyleSheet()
 SHEET.replaceSync(`
   :host { display: block; position: relative; min-height: 8rem; touch-action: none; }
   :host(:focus-visible) { outline: 2px solid currentColor; outline-offset: 2px; }
   img, canvas { display: block; width: 100%; height: 100%; object-fit: contain; user-select: none; }
+  .photographed { position: absolute; right: 0.5rem; bottom: 0.5rem; width: 6rem; margin: 0; pointer-events: none; text-align: center; }
+  .photographed svg { width: 4rem; height: 4rem; }
+  .photographed figcaption { font: 0.7rem/1.2 system-ui, sans-serif; color: #fff; background: #000a; border-radius: 0.25rem; padding: 0.1rem 0.3rem; overflow-wrap: anywhere; }
+  .photographed.guess figcaption { background: #a30; }
+  .sphere { fill: #0006; stroke: #fff; stroke-width: 2; }
+  .seen { fill: #6c6; opacity: 0.6; }
+  .horizon { fill: none; stroke: #fff8; stroke-width: 2; }
+  .camera { fill: #fff; stroke: #000; stroke-width: 3; }
 `)
 
 /** Rotation of `auto-rotate`: degrees per second, and maximum degrees per picture. */
@@ -27,12 +38,13 @@ const NUMBERS = ['azimuth', 'elevation', 'distance', 'fov'] as const
  *
  * Attributes: `server`, `model`, `environment` (a built-in map, `recovered` or an identifier), `rotation` (degrees), `exposure` (stops),
  * `background` (`transparent`, `environment` or `#rrggbb`), `output` (`rgb`, `albedo`, `normal`, `roughness`, `metalness`, `ao`, `depth`),
- * `auto-rotate`, `azimuth`, `elevation` (degrees), `distance` (capture units), `fov` (degrees, vertical).
+ * `auto-rotate`, `photographed` (a map of the photographed directions), `azimuth` (degrees from the first photograph), `elevation` (degrees),
+ * `distance` (capture units), `fov` (degrees, vertical).
  * Events: `relume-ready`, `relume-view`, `relume-mode`, `relume-error`.
  */
 export class RelumeViewer extends HTMLElement {
   static readonly observedAttributes = [
-    'server', 'model', 'environment', 'rotation', 'exposure', 'background', 'output', 'auto-rotate', ...NUMBERS,
+    'server', 'model', 'environment', 'rotation', 'exposure', 'background', 'output', 'auto-rotate', 'photographed', ...NUMBERS,
   ]
 
   readonly #root = this.attachShadow({ mode: 'open' })
@@ -40,6 +52,7 @@ export class RelumeViewer extends HTMLElement {
   readonly #resized = new ResizeObserver(() => this.#draw(false))
   #frames: Frames | undefined
   #engine: Engine | undefined
+  #map: PhotographedMap | undefined
   #apiKey: string | undefined
   /** Time of the last rotation of `auto-rotate`, milliseconds. */
   #turned = 0
@@ -84,8 +97,9 @@ export class RelumeViewer extends HTMLElement {
   }
 
   /** The current camera. */
-  camera(): OrbitView {
-    return this.#orbit.view()
+  camera(): ViewDetail {
+    const view = this.#orbit.view()
+    return { ...view, eye: eye(view) }
   }
 
   /** The current picture at full quality as a PNG. Rejects if no model is shown. */
@@ -126,6 +140,7 @@ export class RelumeViewer extends HTMLElement {
     // An engine that replaces another keeps the current camera.
     if (!before) this.#orbit.set(engine.begin)
     before?.close()
+    this.#map = undefined
     this.#root.replaceChildren(engine.node)
     this.#readView()
     this.#fire('relume-mode', engine.mode)
@@ -176,7 +191,21 @@ export class RelumeViewer extends HTMLElement {
     this.#draw(true)
   }
 
+  /** Shows, updates or removes the map of the photographed directions. */
+  #mark(): void {
+    const views = this.hasAttribute('photographed') ? this.#engine?.photographed : undefined
+    if (this.#map && this.#map.views !== views) {
+      this.#map.node.remove()
+      this.#map = undefined
+    }
+    if (!views) return
+    this.#map ??= new PhotographedMap(views)
+    if (!this.#map.node.isConnected) this.#root.append(this.#map.node)
+    this.#map.show(this.camera())
+  }
+
   #draw(moving: boolean): void {
+    this.#mark()
     this.#engine?.draw(this.#look(), this.camera(), moving && this.hasAttribute('auto-rotate'))
   }
 

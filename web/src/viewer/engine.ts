@@ -1,5 +1,6 @@
 import type { Look } from './frames'
 import type { OrbitView } from './orbit'
+import type { PhotographedViews } from './photographed'
 
 /** The engine that draws. */
 export type ViewerMode = 'webgpu' | 'server'
@@ -11,6 +12,8 @@ export interface Engine {
   readonly node: HTMLElement
   /** The initial view. */
   readonly begin: Partial<OrbitView>
+  /** The photographed directions, if the model records them. */
+  readonly photographed: PhotographedViews | undefined
   /** Schedules a picture. `moving`: more pictures follow, so the engine may reduce detail to save time. */
   draw(look: Look, view: OrbitView, moving: boolean): void
   /** The complete picture as a PNG; waits until all its data has arrived. */

@@ -6,6 +6,7 @@ import { Painter, type Finish } from './gpu/painter'
 import { makePipelines } from './gpu/pipelines'
 import { SceneLight, SceneModel } from './gpu/scene'
 import type { OrbitView } from './orbit'
+import { firstView, type PhotographedViews } from './photographed'
 import { readStream, type LightHeader, type ModelHeader } from './stream'
 
 /** A requested light. */
@@ -21,6 +22,7 @@ export class LiveView implements Engine {
   readonly mode = 'webgpu'
   readonly node: HTMLCanvasElement
   readonly begin: Partial<OrbitView>
+  readonly photographed: PhotographedViews | undefined
   readonly #device: GPUDevice
   readonly #frames: Frames
   readonly #listener: EngineListener
@@ -49,7 +51,8 @@ export class LiveView implements Engine {
     this.#painter = parts.painter
     this.#frames = frames
     this.#listener = listener
-    this.begin = firstView(parts.model.header)
+    this.photographed = parts.model.header.photographed_views
+    this.begin = this.photographed ? firstView(this.photographed) : framed(parts.model.header)
     const lost = () => {
       if (!this.#closed) listener.lost()
     }
@@ -184,12 +187,13 @@ export class LiveView implements Engine {
   }
 }
 
-/** The initial view in the header of a stream. */
-function firstView({ framing: { eye, target, fov_deg } }: ModelHeader): Partial<OrbitView> {
+/** The initial view in the header of a stream without photographed directions. */
+function framed({ framing: { eye, target, fov_deg } }: ModelHeader): Partial<OrbitView> {
   const [x, y, z] = [eye[0] - target[0], eye[1] - target[1], eye[2] - target[2]]
   const degrees = (radians: number) => (radians * 180) / Math.PI
   return {
     target,
+    zero: 0,
     azimuth: degrees(Math.atan2(y, x)),
     elevation: degrees(Math.atan2(z, Math.hypot(x, y))),
     distance: Math.hypot(x, y, z),

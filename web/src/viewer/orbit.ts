@@ -1,7 +1,9 @@
 /** A camera that orbits a point. Angles are in degrees and lengths in capture units; +Z is up. */
 export interface OrbitView {
-  /** Degrees counter-clockwise seen from above; at 0 the camera is on the +x side. */
+  /** Degrees counter-clockwise seen from above, from `zero`. */
   azimuth: number
+  /** The azimuth of the first photograph, degrees from the +x side; 0 if the model does not record it. */
+  zero: number
   /** Degrees above the horizon, -89 to 89. */
   elevation: number
   /** Distance from the target. */
@@ -13,8 +15,8 @@ export interface OrbitView {
 }
 
 /** The position of an orbiting camera. */
-export function eye({ azimuth, elevation, distance, target }: OrbitView): [number, number, number] {
-  const [a, e] = [(azimuth * Math.PI) / 180, (elevation * Math.PI) / 180]
+export function eye({ azimuth, zero, elevation, distance, target }: OrbitView): [number, number, number] {
+  const [a, e] = [((zero + azimuth) * Math.PI) / 180, (elevation * Math.PI) / 180]
   const [x, y, z] = target
   return [
     x + distance * Math.cos(e) * Math.cos(a),
@@ -32,7 +34,7 @@ const DRAG = 0.4
 export class Orbit {
   readonly #element: HTMLElement
   readonly #changed: () => void
-  #view: OrbitView = { azimuth: 0, elevation: 20, distance: 4, target: [0, 0, 0], fov: 40 }
+  #view: OrbitView = { azimuth: 0, zero: 0, elevation: 20, distance: 4, target: [0, 0, 0], fov: 40 }
   #listening: AbortController | undefined
   readonly #pointers = new Map<number, PointerEvent>()
 

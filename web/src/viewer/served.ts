@@ -1,6 +1,7 @@
 import type { Engine, EngineListener } from './engine'
 import type { Frames, Look } from './frames'
 import type { OrbitView } from './orbit'
+import { firstView, type PhotographedViews } from './photographed'
 
 /** Longest side of frames while the camera moves, pixels. */
 const MOVING = 256
@@ -20,6 +21,7 @@ export class ServedView implements Engine {
   readonly mode = 'server'
   readonly node = document.createElement('img')
   readonly begin: Partial<OrbitView>
+  readonly photographed: PhotographedViews | undefined
   readonly #frames: Frames
   readonly #listener: EngineListener
   #timer = 0
@@ -29,18 +31,20 @@ export class ServedView implements Engine {
   /** The newest requested picture while a frame is being loaded. */
   #next: Wish | undefined
 
-  private constructor(frames: Frames, listener: EngineListener, begin: Partial<OrbitView>) {
+  private constructor(frames: Frames, listener: EngineListener, begin: Partial<OrbitView>, photographed?: PhotographedViews) {
     this.#frames = frames
     this.#listener = listener
     this.begin = begin
+    this.photographed = photographed
     this.node.draggable = false
     this.node.alt = ''
   }
 
   static async open(frames: Frames, listener: EngineListener, fov: number): Promise<ServedView> {
-    const { centre, radius } = await frames.framing()
-    const distance = (1.1 * radius) / Math.sin((fov * Math.PI) / 360)
-    return new ServedView(frames, listener, { target: centre, distance })
+    const framing = await frames.framing()
+    if ('photographs' in framing) return new ServedView(frames, listener, firstView(framing), framing)
+    const distance = (1.1 * framing.radius) / Math.sin((fov * Math.PI) / 360)
+    return new ServedView(frames, listener, { target: framing.centre, distance, zero: 0 })
   }
 
   draw(look: Look, view: OrbitView, moving: boolean): void {

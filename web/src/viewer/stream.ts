@@ -1,5 +1,7 @@
 /** Reads the streams of docs/viewer-stream.md while they arrive. */
 
+import type { PhotographedViews } from './photographed'
+
 const VERSION = 1
 
 /** How a quantity is stored. */
@@ -37,6 +39,8 @@ export interface ModelHeader extends Layout {
   world_offset: [number, number, number]
   /** The initial view, capture units. */
   framing: { eye: [number, number, number]; target: [number, number, number]; fov_deg: number }
+  /** Absent if the model does not record its photographs. */
+  photographed_views?: PhotographedViews
 }
 
 /** The header of a light stream. */

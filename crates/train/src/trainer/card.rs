@@ -29,6 +29,7 @@ impl Trainer {
             "light": self.light_card(&model),
             "exposures": self.exposures_card(),
             "up": self.schedule.up,
+            "photographed_views": self.photographed_views(&model),
             "crop": self.crop_card(),
             "config": self.config,
         });

@@ -45,7 +45,7 @@ mod tests {
     use relume_capture::{Capture, SyntheticOptions, SyntheticScene, synthetic};
     use relume_engine::{Device, PhotoSize};
     use relume_reference::gpu_device;
-    use relume_scene::{BitDepth, PackedImage};
+    use relume_scene::{BitDepth, PackedImage, PhotographedViews};
     use relume_spec::training::{Crop, Preset, TrainConfig, TrainOverrides};
 
     const STEPS: u32 = 160;
@@ -136,6 +136,10 @@ mod tests {
         }
         let model = trainer.model().unwrap();
         assert_eq!(model.framing, None, "nothing occludes it");
+        let views = PhotographedViews::of_card(&model.card).unwrap();
+        let bounds = capture.bounds;
+        assert!((views.target - bounds.centre).length() < 0.9 * bounds.radius, "{views:?}");
+        assert_eq!(views.photographs.len(), 8);
         let ball = model.card.pointer("/crop/ball").unwrap().as_array().unwrap();
         assert!((ball[3].as_f64().unwrap() - 0.9 * capture.bounds.radius).abs() < 1e-9);
         assert!((model.world_scale * 0.9 * capture.bounds.radius - 1.0).abs() < 1e-9);

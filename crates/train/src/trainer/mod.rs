@@ -3,6 +3,7 @@
 mod card;
 mod crop;
 mod density_rounds;
+mod photographed_views;
 mod photographs;
 mod preparation;
 mod step_results;

@@ -5,7 +5,7 @@ use serde_json::{Map, Value, json};
 use crate::formats::splats::albedo;
 use crate::formats::viewer_stream::encode;
 use crate::formats::viewer_stream::quantity::Quantity;
-use relume_scene::{Field, Framing, Gaussians, Model, NormalForm};
+use relume_scene::{Field, Framing, Gaussians, Model, NormalForm, PhotographedViews};
 
 const MAGIC: [u8; 4] = *b"RLMG";
 /// Greatest magnitude of a logit; larger ones display as 0 or 1.
@@ -63,13 +63,17 @@ pub fn encode_gaussians(model: &Model, framing: &Framing) -> Vec<u8> {
 }
 
 fn facts(model: &Model, framing: &Framing) -> Map<String, Value> {
-    Map::from_iter([
+    let mut facts = Map::from_iter([
         ("shading".to_owned(), json!(model.shading)),
         ("world_scale".to_owned(), json!(model.world_scale)),
         ("world_offset".to_owned(), json!(model.world_offset.to_array())),
         ("up".to_owned(), json!([0, 0, 1])),
         ("framing".to_owned(), json!(framing)),
-    ])
+    ]);
+    if let Some(views) = PhotographedViews::of_card(&model.card) {
+        facts.insert("photographed_views".to_owned(), json!(views));
+    }
+    facts
 }
 
 /// Unit quaternion; the identity for a quaternion of length 0.

@@ -122,6 +122,19 @@ fn stream_matches_the_model_within_quantisation_steps() {
 }
 
 #[test]
+fn stream_has_photographed_views_of_models_that_record_them() {
+    let header = |card| read(&encode_gaussians(&Model { card, ..model() }, &FRAMING), b"RLMG").header;
+    let views = serde_json::json!({
+        "target": [0.0, 0.0, 0.0], "radius": 1.0, "distance": 3.0, "azimuth_deg": 10.0, "elevation_deg": 20.0, "fov_deg": 40.0,
+        "photographs": [{ "name": "a.jpg", "azimuth_deg": 10.0, "elevation_deg": 20.0 }],
+    });
+    assert_eq!(header(serde_json::json!({ "photographed_views": views }))["photographed_views"], views);
+    for card in [serde_json::json!({}), serde_json::json!({ "photographed_views": { "radius": 1.0 } })] {
+        assert_eq!(header(card).get("photographed_views"), None);
+    }
+}
+
+#[test]
 fn rotations_stay_unit_and_the_shortest_axis_is_preserved() {
     let model = model();
     let read = read(&encode_gaussians(&model, &FRAMING), b"RLMG");

@@ -3,7 +3,8 @@
 use glam::{Mat3, Vec3};
 
 use crate::render::renderer::{PreparedLight, Renderer};
-use crate::render::{Frame, Orbit, RenderError, Viewpoint};
+use crate::render::viewpoint::camera_around;
+use crate::render::{Frame, Orbit, RenderError};
 use relume_scene::{Camera, Model, Output};
 use relume_spec::rendering::Tier;
 
@@ -26,7 +27,7 @@ pub(super) fn around(model: &Model, count: usize, size: u32) -> Result<Vec<Camer
             elevation_deg: Some(height.asin().to_degrees()),
             size,
         };
-        Ok(Viewpoint::Orbit(orbit).camera(model)?)
+        Ok(camera_around(model, &orbit)?)
     };
     (0..count).map(one).collect()
 }
