@@ -102,8 +102,7 @@ mod tests {
 
     #[test]
     fn settings_grow_along_the_curve_and_stay_within_it() {
-        let points: Vec<TrainConfig> =
-            (-20..=60).map(|k| TrainConfig::on_curve(k as f32 / 20.0)).collect();
+        let points: Vec<TrainConfig> = (-20..=60).map(|k| TrainConfig::on_curve(k as f32 / 20.0)).collect();
         for pair in points.windows(2) {
             let [a, b] = pair else { unreachable!() };
             assert!(a.iterations <= b.iterations && a.resolution <= b.resolution);

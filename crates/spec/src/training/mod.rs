@@ -376,7 +376,10 @@ impl TrainConfig {
         }
         (config.time_budget_s, config.until) = (overrides.time_budget_s, overrides.until);
         if config.time_budget_s.is_some() && overrides.iterations.is_some() {
-            return Err(ConfigError::new("iterations", "must not be combined with time_budget_s, which plans the steps"));
+            return Err(ConfigError::new(
+                "iterations",
+                "must not be combined with time_budget_s, which plans the steps",
+            ));
         }
         if let Some(light) = &overrides.light {
             config.hold_light(light);
@@ -391,6 +394,14 @@ impl TrainConfig {
         self.light = Some(light.clone());
         self.rates.environment = 0.0;
         (self.weights.light, self.weights.exposure, self.weights.light_colour) = (0.0, 0.0, 0.0);
+    }
+
+    /// Checks a configuration that was read from a file.
+    ///
+    /// # Errors
+    /// Names the invalid field.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.check()
     }
 
     fn check(&self) -> Result<(), ConfigError> {

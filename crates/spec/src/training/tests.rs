@@ -204,7 +204,8 @@ fn a_time_budget_is_bounded_and_excludes_iterations() {
     }
     let both = refused(r#"{"time_budget_s": 60, "iterations": 100}"#).unwrap_err();
     assert!(both.starts_with("iterations: must not be combined with time_budget_s"), "{both}");
-    let planned = refused(r#"{"time_budget_s": 60, "resolution": 200, "until": "novel_view.psnr>=30"}"#).unwrap();
+    let planned =
+        refused(r#"{"time_budget_s": 60, "resolution": 200, "until": "novel_view.psnr>=30"}"#).unwrap();
     assert_eq!((planned.time_budget_s, planned.resolution), (Some(60), 200));
     let colour = refused(r#"{"method": "3dgs", "until": "novel_view.psnr>=30"}"#).unwrap_err();
     assert!(colour.starts_with("until: requires materials"), "{colour}");

@@ -38,7 +38,8 @@ impl FromStr for TimeBudget {
                 false => digits.parse().map_err(|_| wrong("the number is too large".to_owned()))?,
             };
             digits.clear();
-            seconds = number.checked_mul(UNITS[at].1).and_then(|s| seconds.checked_add(s)).unwrap_or(u64::MAX);
+            seconds =
+                number.checked_mul(UNITS[at].1).and_then(|s| seconds.checked_add(s)).unwrap_or(u64::MAX);
         }
         if !digits.is_empty() {
             return Err(wrong(format!("{digits} has no unit")));

@@ -101,7 +101,10 @@ mod tests {
     fn conditions_parse_and_are_written_back() {
         let psnr: Until = "novel_view.psnr>=30".parse().unwrap();
         assert_eq!(psnr, Until { figure: UntilFigure::NovelViewPsnr, least: 30.0 });
-        assert_eq!(" novel_view.ssim >= 0.95 ".parse::<Until>().unwrap().to_string(), "novel_view.ssim>=0.95");
+        assert_eq!(
+            " novel_view.ssim >= 0.95 ".parse::<Until>().unwrap().to_string(),
+            "novel_view.ssim>=0.95"
+        );
         let json = serde_json::to_string(&psnr).unwrap();
         assert_eq!(json, "\"novel_view.psnr>=30\"");
         assert_eq!(serde_json::from_str::<Until>(&json).unwrap(), psnr);
