@@ -9,5 +9,6 @@ mod gpu_rays;
 mod lights;
 mod support;
 mod tiers;
+mod time_budget;
 mod training;
 mod turntable;
