@@ -72,12 +72,12 @@ pub fn settings_for(
     for stride in (0..=strides).rev() {
         let config = TrainConfig::at(CURVE.start() + stride as f32 * STRIDE, overrides)?;
         let pixels = mean_pixels(sizes, config.resolution);
-        let planned = with_steps_for(&config, pixels, cost, left, finish_steps);
+        let least = ((LEAST_STEPS * f64::from(config.iterations)) as u32).max(FEWEST);
+        let shortest = TrainConfig { iterations: least, ..config.clone() };
+        let fits = seconds(&shortest, pixels, cost, finish_steps) <= left;
         let is_lowest = stride == 0;
-        let has_steps = f64::from(planned.iterations) >= LEAST_STEPS * f64::from(config.iterations)
-            && planned.iterations > FEWEST;
-        if is_lowest || (has_steps && is_possible(&planned)) {
-            return Ok(planned);
+        if is_lowest || (fits && is_possible(&config)) {
+            return Ok(with_steps_for(&config, pixels, cost, left, finish_steps));
         }
     }
     // The loop returns at its last position.

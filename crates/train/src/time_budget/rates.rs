@@ -27,7 +27,7 @@ impl Rate {
 
     /// Seconds per unit of cost; `None` without a measurement.
     pub fn per_cost(&self) -> Option<f64> {
-        (self.cost > 0.0 && self.seconds > 0.0).then(|| self.seconds / self.cost)
+        (self.cost > 0.0).then(|| self.seconds / self.cost)
     }
 }
 
@@ -48,5 +48,8 @@ mod tests {
         (0..40).for_each(|_| rate.record(0.2, 1.0));
         let now = rate.per_cost().unwrap();
         assert!((0.19..=0.2).contains(&now), "{now}");
+        let mut free = Rate::new(2.0);
+        free.record(0.0, 1.0);
+        assert_eq!(free.per_cost(), Some(0.0), "work that takes no time");
     }
 }
