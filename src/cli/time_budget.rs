@@ -12,7 +12,7 @@ use relume_capture::{Capture, ImportLimits, Up};
 use relume_engine::Device;
 use relume_spec::training::{TrainConfig, TrainOverrides};
 use relume_train::time_budget::{
-    Pacing, PacingStart, Planning, RecordedPlan, StepCost, import_planned, step_cost,
+    Pacing, PacingStart, Planning, RecordedPlan, StepCost, import_planned, scaled_cost, step_cost,
 };
 use relume_train::{MemoryBudget, Trainer};
 use std::sync::Arc;
@@ -20,6 +20,10 @@ use std::sync::Arc;
 /// Longest measurement of the machine in each of three sizes, as a share of the budget, and its bounds in seconds.
 const MEASURED_SHARE: f64 = 0.004;
 const MEASURED_SECONDS: [f64; 2] = [0.1, 1.0];
+/// Ratios of the measured cost on the photographs to the expected one that do not change the plan.
+const SAME_COST: std::ops::RangeInclusive<f64> = 0.85..=1.2;
+/// Longest time to read the photographs, as a share of the budget, so that they may be read again at another size.
+const READ_AGAIN_SHARE: f64 = 0.06;
 /// Expected time to compare one photograph after the training, as a number of last steps, and that of a contact sheet.
 const COMPARED_STEPS: f64 = 5.0;
 const SHEET_STEPS: f64 = 25.0;
@@ -83,9 +87,22 @@ pub(super) fn planned_capture(
     let cost = step_cost(device, &|| clock.now(), limit)?;
     let (start, earlier) = (clock.start, clock.earlier.get());
     let now = move || earlier + start.elapsed().as_secs_f64();
-    let planning = Planning { overrides, cost, finish_steps: finish_steps(COMPARED, has_sheet), now: &now };
-    let (capture, config) = import_planned(path, up, &ImportLimits::default(), memory, &planning)?;
-    Ok((capture, config, cost))
+    let finish_steps = finish_steps(COMPARED, has_sheet);
+    let import = |cost| {
+        let planning = Planning { overrides, cost, finish_steps, now: &now };
+        import_planned(path, up, &ImportLimits::default(), memory, &planning)
+    };
+    let begun = clock.now();
+    let (capture, config) = import(cost)?;
+    let seconds = clock.now() - begun;
+    let scaled = scaled_cost(&capture, &config, cost, device, &|| clock.now(), 2.0 * limit)?;
+    let ratio = scaled.gaussian / cost.gaussian;
+    if SAME_COST.contains(&ratio) || seconds > READ_AGAIN_SHARE * budget {
+        return Ok((capture, config, scaled));
+    }
+    drop(capture);
+    let (capture, config) = import(scaled)?;
+    Ok((capture, config, scaled))
 }
 
 /// Follows the plan of one training.

@@ -52,6 +52,12 @@ impl StepCost {
         Some(Self { fixed, pixel, gaussian })
     }
 
+    /// All coefficients times `factor`.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        Self { fixed: factor * self.fixed, pixel: factor * self.pixel, gaussian: factor * self.gaussian }
+    }
+
     /// The cost at a size.
     pub fn of(&self, pixels: f64, gaussians: f64) -> f64 {
         self.fixed + self.pixel * pixels + self.gaussian * gaussians
