@@ -59,6 +59,9 @@ pub fn scaled_cost(
         match_exposures: false,
         crop: Crop::NONE,
         complexity: Complexity::Full,
+        // The map of a known light is read later.
+        light: None,
+        grey_card: None,
         time_budget_s: None,
         until: None,
         ..planned.clone()
