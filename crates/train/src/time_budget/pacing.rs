@@ -109,7 +109,8 @@ impl Pacing {
     /// Whether the caller should now measure the work after the last step, and call [`Self::set_finish`].
     pub fn wants_finish(&self, trainer: &Trainer) -> bool {
         let positions = f64::from(trainer.timeline().positions());
-        self.pacer.is_some() && !self.has_finish && f64::from(trainer.position()) >= FINISH_FROM * positions
+        let is_late = f64::from(trainer.position()) >= FINISH_FROM * positions;
+        self.pacer.is_some() && !self.has_finish && is_late && !trainer.is_done()
     }
 
     /// Sets the time that the work after the last step takes, seconds; `now` after the measurement.
