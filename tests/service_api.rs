@@ -92,6 +92,12 @@ async fn a_job_with_an_invalid_field_is_refused_with_a_pointer() {
             json!({ "capture": capture, "overrides": { "weights": { "smoothness": -1 } } }),
             "/overrides/weights/smoothness",
         ),
+        (json!({ "capture": capture, "overrides": { "time_budget_s": 29 } }), "/overrides/time_budget_s"),
+        (
+            json!({ "capture": capture, "overrides": { "time_budget_s": 60, "iterations": 9 } }),
+            "/overrides/iterations",
+        ),
+        (json!({ "capture": capture, "overrides": { "until": "psnr>=30" } }), "/overrides/until"),
         (json!({ "capture": capture, "priority": 101 }), "/priority"),
         (json!({ "capture": capture, "device": "gpu" }), "/device"),
     ];

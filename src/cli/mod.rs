@@ -27,6 +27,7 @@ mod setting_flags;
 mod sheet;
 mod size;
 mod stop;
+mod time_budget;
 #[cfg(feature = "otlp")]
 mod traces;
 mod train;

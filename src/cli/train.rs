@@ -14,15 +14,19 @@ use crate::cli::progress::{ProgressKind, ProgressReporter, StepProgress};
 use crate::cli::setting_flags::SettingFlags;
 use crate::cli::sheet::sheet_beside;
 use crate::cli::stop::StopSignal;
+use crate::cli::time_budget::{BudgetClock, Pace, planned_capture, recorded_plan};
 use crate::cli::train_summary::{SummaryFiles, TrainedCapture};
 use relume_capture::formats::model_file;
 use relume_capture::{Capture, ImportLimits, Up};
 use relume_engine::{Device, DeviceChoice};
 use relume_spec::training::{
-    Crop, GreyCard, KnownLight, LightExposure, Method, Preset, TrainConfig, TrainOverrides, WhiteBalance,
+    Crop, GreyCard, KnownLight, LightExposure, Method, Preset, TimeBudget, TrainConfig, TrainOverrides,
+    Until, WhiteBalance,
 };
+use relume_train::time_budget::{RecordedPlan, Timeline};
 use relume_train::{
-    MemoryBudget, MemoryEstimate, PhotographSizes, Trainer, import_in_world, up_of_checkpoint,
+    MemoryBudget, MemoryEstimate, PhotographSizes, PreparedTraining, Trainer, import_in_world,
+    planned_config, up_of_checkpoint,
 };
 
 /// Options of `relume train`.
@@ -37,6 +41,22 @@ pub(super) struct TrainArgs {
     /// Preset: `draft`, `standard` or `high`.
     #[arg(long, default_value = "standard", value_parser = named::<Preset>)]
     preset: Preset,
+    /// Time that the training may take, in place of a preset: `90s`, `2m`, `1h30m`. The speed of the machine is measured; pixels,
+    /// Gaussians and steps are planned for the time, and the steps are planned again on the way. The time includes reading the
+    /// photographs, the comparison at the end and the contact sheet, but not finding poses.
+    #[arg(long, value_name = "DURATION", conflicts_with_all = ["preset", "iterations"])]
+    time: Option<TimeBudget>,
+    /// Stop before the last step when held-out photographs meet a condition, `novel_view.psnr>=30` or `novel_view.ssim>=0.95`, or
+    /// when nothing more is gained. The step sizes still fall as at the end of a whole training.
+    #[arg(long, value_name = "FIGURE>=VALUE")]
+    until: Option<Until>,
+    /// Repeat the training of a model whose steps were planned on the way, without a clock: a model file, or its card as `.json`. It
+    /// contains all settings.
+    #[arg(long, value_name = "FILE", conflicts_with_all = [
+        "preset", "time", "until", "method", "resolution", "iterations", "seed", "light", "light_rotations", "white_balance",
+        "grey_card", "crop", "set",
+    ])]
+    plan: Option<PathBuf>,
     /// Method to train: `relume`, or the model of a published system: `3dgs`, `gaussian-shader`, `gs-ir`, `r3dg`, `article`
     /// (re-implemented in this program; not the code of the system). Other options and `--set` override the settings of the
     /// method.
@@ -116,15 +136,39 @@ pub(super) fn run(args: &TrainArgs) -> CommandResult<ExitCode> {
 }
 
 fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<ExitCode> {
-    let config = TrainConfig::new(args.preset, &all_overrides(args)?)?;
-    let kept = args.checkpoint.as_deref().map(|file| CheckpointFile::new(file, &config)).transpose()?;
+    let overrides = all_overrides(args)?;
+    let recorded = args.plan.as_deref().map(recorded_plan).transpose()?;
+    let config = match &recorded {
+        Some(_) if !args.settings.0.is_empty() => {
+            return Err(format!("--plan contains all settings: leave out {}", args.settings.0[0]).into());
+        }
+        Some(RecordedPlan { config, .. }) => config.clone(),
+        None => TrainConfig::new(args.preset, &overrides)?,
+    };
+    let mut kept = args.checkpoint.as_deref().map(CheckpointFile::new).transpose()?;
     let light = config.light.as_ref().map(|light| named_light(&light.environment, "")).transpose()?;
     let path = posed(&args.capture, &args.poses)?;
+    let clock = BudgetClock::start();
     let device = Device::open(args.device)?;
     progress.status(&format!("device: {}", device.name()));
     let budget = MemoryBudget::beside(&device);
-    let up = resumed_up(args.checkpoint.as_deref())?.unwrap_or(config.up.into());
-    let mut capture = import_in_world(&path, &config, up, &ImportLimits::default(), budget)?;
+    let resumed = resumed(args.checkpoint.as_deref(), &config)?;
+    let (up, config) = match &resumed {
+        Some(resumed) => (resumed.up, resumed.config.clone()),
+        None => (config.up.into(), config),
+    };
+    let has_plan = recorded.is_some() || resumed.is_some();
+    let (mut capture, config, cost) = if config.time_budget_s.is_some() && !has_plan {
+        progress.status("measuring this machine");
+        let (capture, config, cost) =
+            planned_capture((&path, up), &overrides, &device, budget, &clock, !args.no_sheet)?;
+        (capture, config, Some(cost))
+    } else {
+        (import_in_world(&path, &config, up, &ImportLimits::default(), budget)?, config, None)
+    };
+    if let Some(kept) = &mut kept {
+        kept.every = config.checkpoint_every.max(1);
+    }
     if let (Some(known), Some(map)) = (&config.light, light) {
         relume_train::illuminate(known, &mut capture, map);
     }
@@ -136,12 +180,23 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
     progress.status(&format!("{}: {trained} images to train on, {held_out} held out", capture.layout));
     let need = MemoryEstimate::of(&PhotographSizes::of(&capture), &config, budget.on_device);
     progress.status(&format!("memory: {need}{}", left(budget)));
-    let trained_capture = TrainedCapture::of(&capture, &path, &config);
-    let mut trainer = trainer(&capture, config, &device, args.checkpoint.as_deref(), progress)?;
+    let mut trained_capture = TrainedCapture::of(&capture, &path, &config);
+    let timeline = recorded.map(|recorded| recorded.timeline);
+    let repeats = timeline.is_some();
+    let start = TrainingStart { config, timeline, checkpoint: resumed.map(|resumed| resumed.bytes) };
+    let mut trainer = start.trainer(&capture, &device, args.checkpoint.as_deref(), progress)?;
+    let mut pace = match repeats {
+        true => Pace::none(&clock, &device),
+        false => {
+            let compared = trained_capture.compared();
+            Pace::of(&mut trainer, &capture, (&clock, &device), cost, compared, !args.no_sheet)?
+        }
+    };
+    pace.announce(&trainer, progress);
     // The trainer shares the pixels that it needs.
     drop(capture);
     let before = trainer.seconds();
-    if !train(&mut trainer, kept.as_ref(), progress)? {
+    if !train(&mut trainer, kept.as_ref(), (&mut pace, &mut trained_capture), progress)? {
         return Ok(ExitCode::from(STOPPED));
     }
     let mut model = trainer.model()?;
@@ -159,6 +214,9 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
     let sheet = (!args.no_sheet).then(|| sheet_beside(&args.out));
     let files = SummaryFiles { sheet: sheet.as_deref(), lpips: args.lpips.as_deref(), model: &args.out };
     let lines = trained_capture.summarise(&Arc::new(model), &device, files, progress);
+    if let Some(budget) = overrides.time_budget_s.map(TimeBudget) {
+        progress.status(&format!("took {:.0} s of {budget}", clock.now()));
+    }
     progress.done(&args.out.display().to_string(), &lines);
     Ok(ExitCode::SUCCESS)
 }
@@ -191,6 +249,10 @@ fn all_overrides(args: &TrainArgs) -> CommandResult<TrainOverrides> {
     ];
     let pairs = [&args.set[..], &args.settings.0].concat();
     let mut overrides = overrides(&flags, &pairs)?;
+    if let Some(TimeBudget(seconds)) = args.time {
+        overrides.time_budget_s = Some(seconds);
+    }
+    overrides.until = args.until.or(overrides.until);
     if let Some(environment) = args.light.clone() {
         let (rotation_deg, exposure_ev) = (args.light_rotation, args.light_exposure);
         overrides.light = Some(KnownLight { environment, rotation_deg, exposure_ev });
@@ -226,41 +288,67 @@ struct CheckpointFile<'a> {
 }
 
 impl<'a> CheckpointFile<'a> {
-    fn new(file: &'a Path, config: &TrainConfig) -> CommandResult<Self> {
-        Ok(Self { file, every: config.checkpoint_every.max(1), stop: StopSignal::listen()? })
+    fn new(file: &'a Path) -> CommandResult<Self> {
+        Ok(Self { file, every: u32::MAX, stop: StopSignal::listen()? })
     }
 }
 
-/// The up direction of the training that the checkpoint continues, if the file exists.
-fn resumed_up(checkpoint: Option<&Path>) -> CommandResult<Option<Up>> {
+/// A checkpoint from which a training resumes.
+struct Resumed {
+    bytes: Vec<u8>,
+    /// The up direction of the training that the checkpoint continues.
+    up: Up,
+    /// The settings, with those that were planned for a time budget.
+    config: TrainConfig,
+}
+
+/// The checkpoint from which a training with `config` resumes, if the file exists.
+fn resumed(checkpoint: Option<&Path>, config: &TrainConfig) -> CommandResult<Option<Resumed>> {
     let Some(file) = checkpoint.filter(|file| file.exists()) else { return Ok(None) };
     let named = |error: &dyn Error| format!("{}: {error}", file.display());
     let bytes = std::fs::read(file).map_err(|error| named(&error))?;
-    Ok(Some(up_of_checkpoint(&bytes).map_err(|error| named(&error))?))
+    let up = up_of_checkpoint(&bytes).map_err(|error| named(&error))?;
+    let config = planned_config(&bytes, config).map_err(|error| named(&error))?;
+    Ok(Some(Resumed { bytes, up, config }))
 }
 
-/// Resumes from the checkpoint if the file exists; otherwise starts a training.
-fn trainer(
-    capture: &Capture,
+/// What a training starts from.
+struct TrainingStart {
     config: TrainConfig,
-    device: &Device,
-    checkpoint: Option<&Path>,
-    progress: &ProgressReporter,
-) -> CommandResult<Trainer> {
-    let Some(file) = checkpoint.filter(|file| file.exists()) else {
-        return Ok(Trainer::new(capture, config, device)?);
-    };
-    let named = |error: &dyn Error| format!("{}: {error}", file.display());
-    let bytes = std::fs::read(file).map_err(|error| named(&error))?;
-    let trainer = Trainer::resume(capture, config, &bytes, device).map_err(|error| named(&error))?;
-    progress.status(&format!("resuming from step {}, {}", trainer.progress().step, file.display()));
-    Ok(trainer)
+    /// A recorded plan to repeat.
+    timeline: Option<Timeline>,
+    checkpoint: Option<Vec<u8>>,
+}
+
+impl TrainingStart {
+    /// Resumes from the checkpoint if there is one, which was read from `file`; otherwise starts a training.
+    fn trainer(
+        self,
+        capture: &Capture,
+        device: &Device,
+        file: Option<&Path>,
+        progress: &ProgressReporter,
+    ) -> CommandResult<Trainer> {
+        let (Some(bytes), Some(file)) = (self.checkpoint, file) else {
+            let start = PreparedTraining::new(capture, self.config)?;
+            let start = match self.timeline {
+                Some(timeline) => start.with_timeline(timeline),
+                None => start,
+            };
+            return Ok(start.on(device)?);
+        };
+        let named = |error: &dyn Error| format!("{}: {error}", file.display());
+        let trainer = Trainer::resume(capture, self.config, &bytes, device).map_err(|error| named(&error))?;
+        progress.status(&format!("resuming from step {}, {}", trainer.progress().step, file.display()));
+        Ok(trainer)
+    }
 }
 
 /// Trains to the end, or until a stop is requested: then writes a checkpoint and returns `false`.
 fn train(
     trainer: &mut Trainer,
     kept: Option<&CheckpointFile<'_>>,
+    (pace, summary): (&mut Pace<'_>, &mut TrainedCapture),
     progress: &mut ProgressReporter,
 ) -> CommandResult<bool> {
     if let Some(kept) = kept {
@@ -271,10 +359,18 @@ fn train(
         if let Some(warning) = &report.warning {
             progress.warning(warning);
         }
+        pace.after_step(trainer, summary, progress)?;
         let (step, total) = (trainer.progress().step, trainer.progress().total);
         let (loss, psnr) = (f64::from(report.loss), f64::from(report.psnr));
         let gaussians = report.gaussians;
-        progress.step(&StepProgress { step, total, loss, psnr, gaussians, eta_seconds: None });
+        progress.step(&StepProgress {
+            step,
+            total,
+            loss,
+            psnr,
+            gaussians,
+            eta_seconds: pace.seconds_left(trainer),
+        });
         let Some(CheckpointFile { file, every, stop }) = kept else { continue };
         let stops = stop.is_requested() && !trainer.is_done();
         if stops || step.is_multiple_of(*every) {
@@ -288,4 +384,39 @@ fn train(
         }
     }
     Ok(true)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Args;
+
+    use super::*;
+
+    fn refused(arguments: &[&str]) -> Option<clap::error::ErrorKind> {
+        let command = TrainArgs::augment_args(clap::Command::new("train"));
+        let all = [&["train", "photos"], arguments].concat();
+        command.try_get_matches_from(all).err().map(|error| error.kind())
+    }
+
+    #[test]
+    fn a_time_replaces_preset_and_iterations() {
+        use clap::error::ErrorKind;
+        for other in [["--preset", "draft"], ["--iterations", "100"], ["--steps", "100"]] {
+            let arguments = [&["--time", "2m"][..], &other].concat();
+            assert_eq!(refused(&arguments), Some(ErrorKind::ArgumentConflict), "{other:?}");
+        }
+        assert_eq!(refused(&["--time", "2m", "--resolution", "200", "--until", "novel_view.psnr>=30"]), None);
+        assert_eq!(refused(&["--time", "2"]), Some(ErrorKind::ValueValidation));
+        assert_eq!(refused(&["--until", "psnr>=30"]), Some(ErrorKind::ValueValidation));
+    }
+
+    #[test]
+    fn a_plan_contains_all_settings() {
+        use clap::error::ErrorKind;
+        for other in [["--time", "2m"], ["--seed", "3"], ["--set", "seed=3"], ["--preset", "high"]] {
+            let arguments = [&["--plan", "m.safetensors"][..], &other].concat();
+            assert_eq!(refused(&arguments), Some(ErrorKind::ArgumentConflict), "{other:?}");
+        }
+        assert_eq!(refused(&["--plan", "m.safetensors", "--device", "cpu"]), None, "the control");
+    }
 }

@@ -18,6 +18,8 @@ use relume_train::eval::{
 
 /// Greatest number of compared views, as in the evaluation of a job.
 const MAX_VIEWS: usize = 8;
+/// Time to read the photographs of a whole sheet again, relative to those of one row.
+const READ_AGAIN: f64 = 1.5;
 
 /// The parts of a capture that are needed after the training: at most eight photographs.
 pub(super) struct TrainedCapture {
@@ -101,6 +103,37 @@ impl TrainedCapture {
         lines
     }
 
+    /// Number of photographs that [`Self::summarise`] compares.
+    pub(super) fn compared(&self) -> usize {
+        self.compared.test.len().max(self.compared.train.len())
+    }
+
+    /// Seconds that [`Self::summarise`] will take without LPIPS, from one photograph and one row of the sheet; `now` returns
+    /// the time. `None` if they cannot be compared.
+    pub(super) fn rehearse(
+        &mut self,
+        model: &Arc<Model>,
+        device: &Device,
+        has_sheet: bool,
+        now: &dyn Fn() -> f64,
+    ) -> Option<f64> {
+        let start = now();
+        let report = self.evaluate(model, device, None, Some(1)).ok()?;
+        let mut seconds = (now() - start) * self.compared() as f64;
+        if has_sheet {
+            let start = now();
+            let mut rows = SheetRows::choose(&self.compared, Some(&report));
+            let count = rows.count().max(1) as f64;
+            rows.truncate(1);
+            rows.read_again(&self.path, self.up, &ImportLimits::default()).ok()?;
+            let read = now();
+            contact_sheet(model.clone(), &rows, EvalOptions::TIER, device).ok()?;
+            // Most of the reading is to open the capture.
+            seconds += READ_AGAIN * (read - start) + (now() - read) * count;
+        }
+        Some(seconds)
+    }
+
     fn compare(
         &mut self,
         model: &Arc<Model>,
@@ -115,12 +148,19 @@ impl TrainedCapture {
                 None
             }
         });
-        let options = EvalOptions {
-            lpips: lpips.as_ref(),
-            frame_rate_time: Duration::ZERO,
-            device,
-            ..EvalOptions::default()
-        };
+        self.evaluate(model, device, lpips.as_ref(), None)
+    }
+
+    /// Compares `model` with `views` of the photographs, or all of them.
+    fn evaluate(
+        &mut self,
+        model: &Arc<Model>,
+        device: &Device,
+        lpips: Option<&Lpips>,
+        views: Option<usize>,
+    ) -> Result<Report, EvalError> {
+        let options =
+            EvalOptions { lpips, views, frame_rate_time: Duration::ZERO, device, ..EvalOptions::default() };
         let is_held_out = !self.compared.test.is_empty();
         let swap = |capture: &mut Capture| {
             if !is_held_out {

@@ -3,77 +3,24 @@
 //! The mean time per step is a poor estimate, because the first steps are cheaper: they have half resolution, no shading and few
 //! Gaussians.
 
-use relume_spec::training::{LabelSource, TrainConfig};
-
-/// Cost of a pixel relative to a Gaussian. This constant and the next three were measured on the CPU engine; only their ratios
-/// matter.
-const PIXEL: f64 = 0.45;
-/// Cost of a step of both branches relative to a step of the radiance branch.
-const SHADED: f64 = 2.25;
-/// Cost of one probe of a Gaussian in one direction.
-const PROBE: f64 = 0.4;
-/// Cost of a search for dominant lights relative to one measurement of the visibility.
-const LIGHTS: f64 = 5.0;
-/// Maximum steps between rounds of density control, and minimum steps before the first round.
-const ROUND_EVERY: u32 = 100;
-const FIRST_ROUND: u32 = 50;
+use relume_spec::training::TrainConfig;
+use relume_train::time_budget::{ScheduleCost, StepCost};
 
 /// The relative cost of each step of a training.
-struct Costs {
-    config: TrainConfig,
-    /// Pixels of a photograph.
-    pixels: f64,
-}
+struct Costs(ScheduleCost);
 
 impl Costs {
-    /// Cost of the step after `step` steps.
+    /// Cost of the step after `step` steps, with its events.
     fn of(&self, step: u32) -> f64 {
-        let config = &self.config;
-        let is_half = (step as f32) < config.half_resolution * config.iterations as f32;
-        let pixels = if is_half { self.pixels / 4.0 } else { self.pixels };
-        let is_shaded = step >= config.warm_up_steps();
-        let gaussians = self.gaussians(step);
-        let branches = if is_shaded { SHADED } else { 1.0 };
-        let measured = PROBE * gaussians * f64::from(config.probe_directions);
-        branches * (PIXEL * pixels + gaussians) + measured * self.measurements(step)
-    }
-
-    /// Estimated number of Gaussians at a step: growth by density control up to its limit.
-    fn gaussians(&self, step: u32) -> f64 {
-        let config = &self.config;
-        let (first, last) = self.rounds();
-        let share =
-            f64::from(step.min(last).saturating_sub(first)) / f64::from(last.saturating_sub(first).max(1));
-        let (low, high) = (f64::from(config.initial_gaussians), f64::from(config.max_gaussians));
-        low + (high - low) * share.sqrt()
-    }
-
-    /// Steps of the first and of the last round of density control.
-    fn rounds(&self) -> (u32, u32) {
-        let total = self.config.iterations;
-        ((total / 50).max(FIRST_ROUND), (self.config.densify_until * total as f32) as u32)
-    }
-
-    /// Number of visibility measurements, or work of equal cost, in a step.
-    fn measurements(&self, step: u32) -> f64 {
-        let config = &self.config;
-        let measures = config.bounces > 0 || matches!(config.labels, LabelSource::Probes | LabelSource::Both);
-        let Some(shaded) = step.checked_sub(config.warm_up_steps()).filter(|_| measures) else { return 0.0 };
-        let (first, last) = self.rounds();
-        let every = ROUND_EVERY.min((config.iterations / 15).max(10));
-        let next = step + 1;
-        let is_round = next.is_multiple_of(every) && (first..=last).contains(&next);
-        let regular = if shaded == 0 { 2 } else { u32::from(shaded.is_multiple_of(config.probe_every)) };
-        let looks = config.lights > 0 && config.light.is_none();
-        let albedo = match config.is_albedo_round(step) {
-            true => 1.0 + if looks { LIGHTS } else { 0.0 },
-            false => 0.0,
-        };
-        f64::from(regular + u32::from(is_round)) + albedo
+        let cost = &self.0;
+        cost.step(step)
+            + cost.measurements_before(step)
+            + cost.measurements_after(step + 1)
+            + cost.restart(step)
     }
 
     fn from(&self, step: u32) -> f64 {
-        (step..self.config.iterations).map(|step| self.of(step)).sum()
+        (step..self.0.positions()).map(|step| self.of(step)).sum()
     }
 }
 
@@ -94,7 +41,7 @@ pub(super) struct Eta {
 impl Eta {
     /// An estimate for a training of `config` on photographs of `pixels`, of which earlier attempts did `step` steps.
     pub(super) fn new(config: &TrainConfig, pixels: f64, step: u32, now_ms: i64) -> Self {
-        let costs = Costs { config: config.clone(), pixels };
+        let costs = Costs(ScheduleCost::new(config, pixels, StepCost::RELATIVE));
         let steps = f64::from((config.iterations / 20).clamp(40, 200));
         Self {
             left: costs.from(step),

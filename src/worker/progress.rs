@@ -13,11 +13,22 @@ pub(super) struct ProgressReporter {
     eta: Eta,
     reported_ms: i64,
     last: JobProgress,
+    /// The plan of a training with a time budget or a stop condition, in words.
+    plan: Option<String>,
+    /// Seconds to the end by that plan; they replace the estimate.
+    seconds_left: Option<f64>,
 }
 
 impl ProgressReporter {
     pub(super) fn new(eta: Eta) -> Self {
-        Self { eta, reported_ms: i64::MIN, last: JobProgress::default() }
+        let (plan, seconds_left) = (None, None);
+        Self { eta, reported_ms: i64::MIN, last: JobProgress::default(), plan, seconds_left }
+    }
+
+    /// Records the plan of a training with a time budget or a stop condition: `told` if its words changed.
+    pub(super) fn plan(&mut self, told: Option<String>, seconds_left: Option<f64>) {
+        self.plan = told.or(self.plan.take());
+        self.seconds_left = seconds_left;
     }
 
     /// The report of a step that ended at `now_ms`; `None` if the last report is recent. The last step is always reported.
@@ -38,8 +49,8 @@ impl ProgressReporter {
             loss: Some(f64::from(step.loss)),
             psnr: Some(f64::from(step.psnr)),
             gaussians: i64::try_from(step.gaussians).ok(),
-            eta_seconds: self.eta.seconds(),
-            message: Some("training".to_owned()),
+            eta_seconds: self.seconds_left.or_else(|| self.eta.seconds()),
+            message: Some(self.plan.clone().unwrap_or_else(|| "training".to_owned())),
         };
         Some(self.last.clone())
     }
@@ -77,6 +88,24 @@ mod tests {
         let report =
             StepReport { step, metrics_step: step, loss: 0.5, psnr: 20.0, gaussians: 7, warning: None };
         (report, Progress { step, total: 100 })
+    }
+
+    #[test]
+    fn events_of_a_planned_training_tell_the_plan() {
+        let config = TrainConfig { iterations: 100, ..TrainConfig::preset(Preset::Draft) };
+        let mut reporter = ProgressReporter::new(Eta::new(&config, 1.0, 0, 0));
+        let mut at = |ms, n, told: Option<&str>, left| {
+            reporter.plan(told.map(str::to_owned), left);
+            let (report, progress) = step(n);
+            let event = reporter.report(ms, &report, progress).unwrap();
+            (event.message.unwrap(), event.eta_seconds)
+        };
+        assert_eq!(at(0, 1, None, None).0, "training", "the control");
+        assert_eq!(
+            at(1000, 2, Some("planned: 100 steps"), Some(9.0)),
+            ("planned: 100 steps".into(), Some(9.0))
+        );
+        assert_eq!(at(2000, 3, None, Some(8.0)), ("planned: 100 steps".into(), Some(8.0)));
     }
 
     #[test]

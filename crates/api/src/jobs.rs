@@ -20,7 +20,7 @@ pub struct NewJob {
     #[schema(value_type = String)]
     #[cfg_attr(feature = "sqlx", sqlx(rename = "capture_id"))]
     pub capture: CaptureId,
-    /// Preset: `draft`, `standard` or `high`. Omitted: `standard`.
+    /// Preset: `draft`, `standard` or `high`. Omitted: `standard`. Ignored with `overrides.time_budget_s`.
     #[serde(default)]
     pub preset: Preset,
     /// Settings that replace values of the preset, e.g. `{"resolution": 200}`.
@@ -264,7 +264,7 @@ pub struct JobView {
 pub struct JobProgress {
     /// Completed steps.
     pub step: i64,
-    /// Total number of steps.
+    /// Total number of steps. With a time budget or a stop condition it changes during the training.
     pub total: i64,
     /// Value of the training objective.
     pub loss: Option<f64>,

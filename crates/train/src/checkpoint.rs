@@ -12,6 +12,7 @@ use crate::crop::{Region, SILHOUETTE, SubjectCrop};
 use crate::dataset::Gain;
 use crate::error::TrainError;
 use crate::state::ScheduleState;
+use crate::time_budget::{BudgetState, PlanChange, Timeline};
 use relume_capture::WorldUp;
 use relume_capture::formats::model_file::{self, Tensor, floats};
 use relume_engine::{DensityStats, Moments, TrainState};
@@ -48,6 +49,12 @@ struct Header {
     /// Region of the crop, and number of Gaussians before it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     cut: Option<(Region, usize)>,
+    /// Changes of the number of steps; absent without changes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    plan: Vec<PlanChange>,
+    /// Absent without a time budget.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    budget: Option<BudgetState>,
     labels: usize,
     gathered: usize,
     /// Absent in checkpoints of older versions, which have no lights.
@@ -91,6 +98,8 @@ pub fn encode(
         lights: schedule.lights.clone(),
         up: schedule.up.clone(),
         cut: schedule.cut.as_ref().map(|cut| (cut.region, cut.gaussians.len())),
+        plan: schedule.timeline.changes().to_vec(),
+        budget: schedule.budget,
         labels: state.labels.len(),
         gathered: state.gathered.len(),
         arriving: state.arriving.len(),
@@ -144,6 +153,23 @@ fn header(bytes: &[u8]) -> Result<Header, TrainError> {
 pub fn up(bytes: &[u8]) -> Result<(UpAxis, Option<WorldUp>), TrainError> {
     let header = header(bytes)?;
     Ok((header.config.up, header.up))
+}
+
+/// The configuration of a training that resumes from a checkpoint: `config` as its caller states it, with the settings
+/// that the checkpoint's training had planned for the same time budget. Without a time budget it is `config`.
+///
+/// # Errors
+/// [`TrainError::Checkpoint`] if the header is damaged, of another version, or of another time budget.
+pub fn planned_config(bytes: &[u8], config: &TrainConfig) -> Result<TrainConfig, TrainError> {
+    let header = header(bytes)?;
+    if header.config.time_budget_s != config.time_budget_s {
+        return Err(bad("config.time_budget_s", "differs from the time budget of this training"));
+    }
+    let mut planned = config.clone();
+    if config.time_budget_s.is_some() {
+        planned.adopt_plan(&header.config);
+    }
+    Ok(planned)
 }
 
 /// Reads a checkpoint of the same configuration.
@@ -217,6 +243,9 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         lights: header.lights,
         up: header.up,
         cut: header.cut.map(cut).transpose()?,
+        timeline: Timeline::with_changes(config.iterations, header.plan)
+            .map_err(|error| bad("plan", error))?,
+        budget: header.budget,
     };
     Ok((schedule, state))
 }
@@ -226,8 +255,9 @@ mod tests {
     use rand::SeedableRng;
 
     use super::*;
+    use crate::time_budget::StepCost;
     use relume_scene::{LightSplit, Model, SplitLight};
-    use relume_spec::training::Preset;
+    use relume_spec::training::{Preset, TrainOverrides};
 
     fn state() -> TrainState {
         TrainState::new(Model::new(
@@ -254,6 +284,8 @@ mod tests {
             lights: vec![0.25],
             up: Some(WorldUp::default()),
             cut: None,
+            timeline: Timeline::new(config.iterations),
+            budget: None,
         };
         let plain = state();
         let bytes = encode(&schedule, &plain, &config).unwrap();
@@ -266,5 +298,28 @@ mod tests {
         lit.arriving = (0..3).map(|i| [0.25 * i as f32, 1.0, 1.0, 1.0]).collect();
         let bytes = encode(&schedule, &lit, &config).unwrap();
         assert_eq!(decode(&bytes, &config).unwrap(), (schedule, lit));
+    }
+
+    #[test]
+    fn a_plan_and_its_budget_round_trip_in_a_checkpoint() {
+        let budgeted = |seconds| {
+            let overrides = TrainOverrides { time_budget_s: Some(seconds), ..Default::default() };
+            TrainConfig::new(Preset::Draft, &overrides).unwrap()
+        };
+        let planned = TrainConfig { iterations: 900, resolution: 200, ..budgeted(60) };
+        let mut schedule = ScheduleState::new(3, 900, ChaCha8Rng::seed_from_u64(3));
+        let plain = encode(&schedule, &state(), &planned).unwrap();
+        assert!(!String::from_utf8_lossy(&plain).contains("\"plan\""), "the control: no change");
+        schedule.step = 30;
+        let change =
+            PlanChange { step: 20, position: 20, total: 500, max_gaussians: None, why: "time".to_owned() };
+        schedule.timeline.change(change).unwrap();
+        schedule.budget = Some(BudgetState { used: 7.5, cost: StepCost::RELATIVE });
+        let bytes = encode(&schedule, &state(), &planned).unwrap();
+        assert_eq!(decode(&bytes, &planned).unwrap().0, schedule);
+        assert_eq!(planned_config(&bytes, &budgeted(60)).unwrap(), planned);
+        assert!(decode(&bytes, &budgeted(60)).is_err(), "the control: the draft has other settings");
+        let other = planned_config(&bytes, &budgeted(61)).unwrap_err().to_string();
+        assert!(other.contains("config.time_budget_s"), "{other}");
     }
 }

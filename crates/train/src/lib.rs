@@ -22,9 +22,11 @@ mod sampling_rate;
 mod schedule;
 mod state;
 mod system_memory;
+pub mod time_budget;
 mod trainer;
 mod world_up;
 
+pub use checkpoint::planned_config;
 pub use dataset::DecodingStats;
 pub use error::TrainError;
 pub use import::{import_for_training, import_in_world};

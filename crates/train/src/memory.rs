@@ -77,7 +77,7 @@ impl PhotographSizes {
     }
 
     /// The sizes when reduced to at most `resolution` pixels on the longer side.
-    fn reduced(&self, resolution: u32) -> Self {
+    pub(crate) fn reduced(&self, resolution: u32) -> Self {
         let options = ImportOptions { max_side: Some(resolution), ..ImportOptions::default() };
         Self { sizes: self.sizes.iter().map(|size| options.reduced_size(*size)).collect(), ..*self }
     }

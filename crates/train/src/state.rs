@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::complexity::state::ComplexityState;
 use crate::crop::SubjectCrop;
 use crate::dataset::Gain;
+use crate::time_budget::{BudgetState, Timeline};
 use relume_capture::WorldUp;
 use relume_scene::light::LightColour;
 
@@ -38,11 +39,15 @@ pub struct ScheduleState {
     pub up: Option<WorldUp>,
     /// The crop of the subject of photographs without masks, after the warm-up.
     pub cut: Option<Arc<SubjectCrop>>,
+    /// Position of each step in the schedule.
+    pub timeline: Timeline,
+    /// Time budget, if the training has one.
+    pub budget: Option<BudgetState>,
 }
 
 impl ScheduleState {
-    /// The start of a training on `photographs` photographs; the first epoch draws their order.
-    pub fn new(photographs: usize, rng: ChaCha8Rng) -> Self {
+    /// The start of a training of `iterations` steps on `photographs` photographs; the first epoch draws their order.
+    pub fn new(photographs: usize, iterations: u32, rng: ChaCha8Rng) -> Self {
         Self {
             step: 0,
             order: (0..photographs as u32).collect(),
@@ -56,12 +61,19 @@ impl ScheduleState {
             lights: Vec::new(),
             up: None,
             cut: None,
+            timeline: Timeline::new(iterations),
+            budget: None,
         }
     }
 
     /// Number of times that the photographs were modified.
     pub fn revision(&self) -> usize {
         self.gains.len() + usize::from(self.cut.is_some())
+    }
+
+    /// Position in the schedule.
+    pub fn position(&self) -> u32 {
+        self.timeline.position(self.step)
     }
 
     /// Advances to the photograph of the next step. Each epoch visits all photographs in a new order.
@@ -93,7 +105,7 @@ mod tests {
 
     #[test]
     fn next_photographs_are_known_beyond_the_end_of_an_epoch() {
-        let mut schedule = ScheduleState::new(5, ChaCha8Rng::seed_from_u64(3));
+        let mut schedule = ScheduleState::new(5, 100, ChaCha8Rng::seed_from_u64(3));
         let known = schedule.next_photos(14);
         let mut epochs = known.clone();
         for at in 0..14 {

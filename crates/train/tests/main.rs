@@ -10,5 +10,6 @@ mod lights;
 mod scene_referred;
 mod support;
 mod tiers;
+mod time_budget;
 mod training;
 mod turntable;

@@ -10,7 +10,7 @@ use relume_spec::rendering::Tier;
 use relume_train::eval::{EvalError, NovelViews};
 
 /// Maximum number of views to compare.
-const MAX_VIEWS: usize = 8;
+pub(super) const MAX_VIEWS: usize = 8;
 /// The warning for a capture without held-out views.
 pub(super) const NO_VIEWS: &str = "the capture has no held-out views: nothing was compared";
 const EMPTY_VIEWS: &str = "no held-out view shows the object: nothing was compared";

@@ -7,6 +7,7 @@ mod import;
 pub(super) mod outcome;
 mod preparation;
 mod publish;
+mod time_budget;
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -20,6 +21,7 @@ use crate::worker::previews::{Preview, PreviewPublisher};
 use crate::worker::progress::ProgressReporter;
 use crate::worker::thread::Worker;
 use comparison::Comparison;
+use import::ImportPlanning;
 use outcome::{AttemptEnd, AttemptError, stop_attempt};
 use preparation::{last_checkpoint, world_of};
 use relume_api::jobs::JobDevice;
@@ -29,6 +31,8 @@ use relume_engine::Device;
 use relume_scene::Model;
 use relume_spec::training::TrainConfig;
 use relume_train::Trainer;
+use relume_train::time_budget::StepCost;
+use time_budget::{AttemptClock, AttemptPacing, planned_before};
 
 /// The state of one attempt between steps.
 struct TrainingAttempt<'a> {
@@ -36,6 +40,8 @@ struct TrainingAttempt<'a> {
     claim: &'a dyn Claim,
     trainer: Trainer,
     reporter: ProgressReporter,
+    /// The plan of a job with a time budget or a stop condition.
+    pacing: Option<AttemptPacing>,
     checkpoint_every: u32,
     /// The span of the steps since the last report.
     steps_span: Span,
@@ -44,23 +50,28 @@ struct TrainingAttempt<'a> {
 impl Worker {
     /// Runs the attempt until it ends.
     pub(super) async fn train(&mut self, claim: &dyn Claim) -> Result<AttemptEnd, AttemptError> {
+        let clock = AttemptClock::start(&self.source);
         let request = &claim.task().request;
         let config = TrainConfig::new(request.preset, &request.overrides)
             .map_err(|error| AttemptError::new("config_invalid", error.to_string()))?;
-        let checkpoint_every = config.checkpoint_every.max(1);
-        let prepared = self.prepared(claim, config).instrument(info_span!("prepare"));
-        let (capture, trainer) = match prepared.await? {
+        let prepared = self.prepared(claim, config, &clock).instrument(info_span!("prepare"));
+        let (capture, mut trainer, cost) = match prepared.await? {
             ControlFlow::Continue(prepared) => prepared,
             ControlFlow::Break(ending) => return Ok(ending),
         };
         let (now_ms, step) = (self.source.now_ms(), trainer.progress().step);
-        let reporter = ProgressReporter::new(Eta::new(trainer.config(), pixels_of(&capture), step, now_ms));
+        let mut reporter =
+            ProgressReporter::new(Eta::new(trainer.config(), pixels_of(&capture), step, now_ms));
+        let checkpoint_every = trainer.config().checkpoint_every.max(1);
+        let pacing = AttemptPacing::new(&mut trainer, &capture, clock, cost)?;
+        reporter.plan(pacing.as_ref().map(|pacing| pacing.announcement(&trainer)), None);
         let comparison = Comparison::new(Arc::unwrap_or_clone(capture), trainer.config().light_rotations);
         let mut attempt = TrainingAttempt {
             source: self.source.clone(),
             claim,
             trainer,
             reporter,
+            pacing,
             checkpoint_every,
             steps_span: Span::none(),
         };
@@ -75,7 +86,7 @@ impl Worker {
                     return Ok(stop_attempt(claim).await?);
                 }
             }
-            let status = attempt.step().await?;
+            let status = attempt.step(self.device_of(claim)?).await?;
             self.steps.fetch_add(1, Ordering::SeqCst);
             if status != LeaseStatus::Held {
                 return Ok(stop_attempt(claim).await?);
@@ -102,16 +113,25 @@ impl Worker {
         &mut self,
         claim: &dyn Claim,
         config: TrainConfig,
-    ) -> Result<ControlFlow<AttemptEnd, (Arc<Capture>, Trainer)>, AttemptError> {
+        clock: &AttemptClock,
+    ) -> Result<ControlFlow<AttemptEnd, (Arc<Capture>, Trainer, Option<StepCost>)>, AttemptError> {
         let checkpoint = last_checkpoint(claim).await?;
         let up = world_of(&checkpoint).unwrap_or_else(|| config.up.into());
-        let capture = match self.import(claim, &config, up).instrument(info_span!("import")).await? {
-            ControlFlow::Continue(capture) => Arc::new(capture),
+        let before = planned_before(&checkpoint, &config);
+        let cost = match config.time_budget_s {
+            Some(_) if before.is_none() => Some(Self::step_cost(self.device_of(claim)?, &config, clock)?),
+            _ => None,
+        };
+        let planning = cost.map(|cost| ImportPlanning { cost, clock: clock.clone() });
+        let config = before.unwrap_or(config);
+        let import = self.import(claim, config, up, planning).instrument(info_span!("import"));
+        let (capture, config) = match import.await? {
+            ControlFlow::Continue((capture, config)) => (Arc::new(capture), config),
             ControlFlow::Break(ending) => return Ok(ControlFlow::Break(ending)),
         };
         let trainer = self.trainer(claim, &capture, config, checkpoint);
         let trainer = trainer.instrument(info_span!("dataset")).await?;
-        Ok(trainer.map_continue(|trainer| (capture, trainer)))
+        Ok(trainer.map_continue(|trainer| (capture, trainer, cost)))
     }
 
     /// The device of a job.
@@ -125,13 +145,17 @@ impl Worker {
 }
 
 impl TrainingAttempt<'_> {
-    /// Takes one step and reports it.
-    async fn step(&mut self) -> Result<LeaseStatus, AttemptError> {
+    /// Takes one step on `device` and reports it.
+    async fn step(&mut self, device: &Device) -> Result<LeaseStatus, AttemptError> {
         if self.steps_span.is_none() {
             let first = self.trainer.progress().step + 1;
             self.steps_span = info_span!("steps", first, last = tracing::field::Empty);
         }
         let report = self.steps_span.in_scope(|| self.trainer.step())?;
+        if let Some(pacing) = &mut self.pacing {
+            let (told, seconds_left) = pacing.after_step(&mut self.trainer, device)?;
+            self.reporter.plan(told, seconds_left);
+        }
         metrics::counter!("relume_training_steps_total").increment(1);
         if let Some(warning) = &report.warning {
             self.record_warning(warning).await;

@@ -2,6 +2,7 @@
 
 mod choices;
 mod crop;
+mod curve;
 mod error;
 mod grey_card;
 mod group;
@@ -11,6 +12,8 @@ mod reference;
 #[cfg(test)]
 mod settings_page;
 mod shading;
+mod time_budget;
+mod until;
 mod weights;
 mod white_balance;
 
@@ -22,12 +25,15 @@ use serde::{Deserialize, Serialize};
 
 pub use choices::{Complexity, ComplexitySetting, LabelSource, Preset, UpAxis};
 pub use crop::{Crop, NamedCrop};
+pub use curve::CURVE;
 pub use error::ConfigError;
 pub use grey_card::GreyCard;
 pub use known_light::{Auto, KnownLight, LightExposure, MAX_STOPS};
 pub use method::Method;
 pub use reference::{Setting, settings};
 pub use shading::ShadingChanges;
+pub use time_budget::{TIME_BUDGET, TimeBudget};
+pub use until::{Until, UntilFigure};
 pub use weights::{LearningRateChanges, LearningRates, LossWeightChanges, LossWeights};
 pub use white_balance::{NamedBalance, WhiteBalance};
 
@@ -83,6 +89,12 @@ macro_rules! settings {
             /// start of a training.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub grey_card: Option<GreyCard>,
+            /// Time that the training may take, seconds. Pixels, steps and Gaussians were planned for it.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub time_budget_s: Option<u32>,
+            /// Condition on held-out photographs at which the training stops before its last step.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub until: Option<Until>,
         }
 
         /// Settings that replace values of the preset. An omitted setting has the preset's value.
@@ -104,6 +116,19 @@ macro_rules! settings {
             /// Its mean linear colour replaces `white_balance`; the two must not be combined. A channel that
             /// is clipped (mean above 0.98) or too dark (mean below 0.01) is an error.
             pub grey_card: Option<GreyCard>,
+            /// Time that the training may take, seconds, 30 to 604,800 (7 days). It replaces the preset:
+            /// `resolution`, `iterations`, `max_gaussians` and the settings that depend on them are planned from
+            /// the speed of the machine. `resolution` and `max_gaussians` may be given as well; `iterations` must
+            /// not.
+            #[serde(skip_serializing_if = "Option::is_none")]
+            #[schema(minimum = 30, maximum = 604_800)]
+            pub time_budget_s: Option<u32>,
+            /// Condition at which the training stops before its last step: `novel_view.psnr>=30` or
+            /// `novel_view.ssim>=0.95`, measured on held-out photographs at the training resolution. It also stops
+            /// if nothing more is gained. The last tenth of the schedule is always completed.
+            #[serde(skip_serializing_if = "Option::is_none")]
+            #[schema(value_type = Option<String>)]
+            pub until: Option<Until>,
         }
 
         impl TrainOverrides {
@@ -126,7 +151,8 @@ macro_rules! settings {
             fn standard() -> Self {
                 let (preset, forced, light) = (Preset::Standard, Vec::new(), None);
                 let (light_rotation_per_photo, grey_card) = (BTreeMap::new(), None);
-                Self { preset, $($name: $standard,)+ $($group: Default::default(),)+ forced, light, light_rotation_per_photo, grey_card }
+                let (time_budget_s, until) = (None, None);
+                Self { preset, $($name: $standard,)+ $($group: Default::default(),)+ forced, light, light_rotation_per_photo, grey_card, time_budget_s, until }
             }
 
             /// Applies the settings of `overrides`, except the light.
@@ -318,32 +344,7 @@ impl TrainConfig {
     /// | standard | 3,000 | 400 | 40,000 | 96 | 16 |
     /// | high | 6,000 | 800 | 80,000 | 128 | 16 |
     pub fn preset(preset: Preset) -> Self {
-        let standard = Self::standard();
-        match preset {
-            Preset::Standard => standard,
-            Preset::Draft => Self {
-                preset,
-                iterations: 1_500,
-                resolution: 160,
-                initial_gaussians: 3_000,
-                max_gaussians: 8_000,
-                prototypes: 8,
-                radiance_order: 1,
-                probe_directions: 64,
-                probe_every: 125,
-                checkpoint_every: 250,
-                ..standard
-            },
-            Preset::High => Self {
-                preset,
-                iterations: 6_000,
-                resolution: 800,
-                initial_gaussians: 24_000,
-                max_gaussians: 80_000,
-                probe_directions: 128,
-                ..standard
-            },
-        }
+        Self::on_curve(preset.position())
     }
 
     /// A preset with a caller's overrides.
@@ -351,7 +352,15 @@ impl TrainConfig {
     /// # Errors
     /// Names the invalid field.
     pub fn new(preset: Preset, overrides: &TrainOverrides) -> Result<Self, ConfigError> {
-        let mut config = Self::preset(preset);
+        Self::at(preset.position(), overrides)
+    }
+
+    /// A position of the curve ([`Self::on_curve`]) with a caller's overrides.
+    ///
+    /// # Errors
+    /// Names the invalid field.
+    pub fn at(position: f32, overrides: &TrainOverrides) -> Result<Self, ConfigError> {
+        let mut config = Self::on_curve(position);
         let method: TrainOverrides = serde_json::from_value(overrides.method.unwrap_or_default().overrides())
             .map_err(|error| ConfigError::new("method", error.to_string()))?;
         config.apply(&method);
@@ -364,6 +373,13 @@ impl TrainConfig {
         config.grey_card = overrides.grey_card.clone();
         if config.grey_card.is_some() && overrides.white_balance.is_some() {
             return Err(ConfigError::new("grey_card", "must not be combined with white_balance"));
+        }
+        (config.time_budget_s, config.until) = (overrides.time_budget_s, overrides.until);
+        if config.time_budget_s.is_some() && overrides.iterations.is_some() {
+            return Err(ConfigError::new(
+                "iterations",
+                "must not be combined with time_budget_s, which plans the steps",
+            ));
         }
         if let Some(light) = &overrides.light {
             config.hold_light(light);
@@ -380,6 +396,14 @@ impl TrainConfig {
         (self.weights.light, self.weights.exposure, self.weights.light_colour) = (0.0, 0.0, 0.0);
     }
 
+    /// Checks a configuration that was read from a file.
+    ///
+    /// # Errors
+    /// Names the invalid field.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.check()
+    }
+
     fn check(&self) -> Result<(), ConfigError> {
         if let Some(light) = &self.light {
             light.check()?;
@@ -393,6 +417,13 @@ impl TrainConfig {
         }
         if let Some((name, _)) = self.light_rotation_per_photo.iter().find(|(_, turn)| !turn.is_finite()) {
             return Err(ConfigError::new(format!("light_rotation_per_photo.{name}"), "must be finite"));
+        }
+        if let Some(seconds) = self.time_budget_s {
+            check_range("time_budget_s", seconds, TIME_BUDGET)?;
+        }
+        if self.until.is_some() && self.warm_up_steps() >= self.iterations {
+            let reason = "requires materials, which this training does not have: choose a warm_up below 1";
+            return Err(ConfigError::new("until", reason));
         }
         self.check_ranges()?;
         if let Some((field, reason)) = self.shading.fault() {

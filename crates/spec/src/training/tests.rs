@@ -191,3 +191,32 @@ fn complete_groups_of_stored_jobs_are_read() {
     let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
     assert_eq!(config.weights, LossWeights { l1: 0.5, ..Default::default() });
 }
+
+#[test]
+fn a_time_budget_is_bounded_and_excludes_iterations() {
+    let refused = |json: &str| {
+        let overrides: TrainOverrides = serde_json::from_str(json).unwrap();
+        TrainConfig::new(Preset::Draft, &overrides).map_err(|error| error.to_string())
+    };
+    for seconds in [29, 604_801] {
+        let error = refused(&format!(r#"{{"time_budget_s": {seconds}}}"#)).unwrap_err();
+        assert_eq!(error, format!("time_budget_s: {seconds} is outside 30 to 604800"));
+    }
+    let both = refused(r#"{"time_budget_s": 60, "iterations": 100}"#).unwrap_err();
+    assert!(both.starts_with("iterations: must not be combined with time_budget_s"), "{both}");
+    let planned =
+        refused(r#"{"time_budget_s": 60, "resolution": 200, "until": "novel_view.psnr>=30"}"#).unwrap();
+    assert_eq!((planned.time_budget_s, planned.resolution), (Some(60), 200));
+    let colour = refused(r#"{"method": "3dgs", "until": "novel_view.psnr>=30"}"#).unwrap_err();
+    assert!(colour.starts_with("until: requires materials"), "{colour}");
+}
+
+#[test]
+fn a_config_without_a_budget_has_no_fields_of_it() {
+    let json = serde_json::to_string(&TrainConfig::preset(Preset::Draft)).unwrap();
+    assert!(!json.contains("time_budget_s") && !json.contains("until\":\""), "{json}");
+    let overrides = serde_json::to_string(&TrainOverrides::default()).unwrap();
+    assert!(!overrides.contains("time_budget_s") && !overrides.contains("\"until\""), "{overrides}");
+    let given = TrainOverrides { time_budget_s: Some(60), ..Default::default() };
+    assert!(serde_json::to_string(&given).unwrap().contains("time_budget_s"), "the control");
+}

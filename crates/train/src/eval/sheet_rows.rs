@@ -43,6 +43,16 @@ impl SheetRows {
         Self { rows, lights: capture.lights.clone() }
     }
 
+    /// Number of rows.
+    pub fn count(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Keeps the first `rows` rows.
+    pub fn truncate(&mut self, rows: usize) {
+        self.rows.truncate(rows);
+    }
+
     /// Reads the photographs of these views again from the capture at `path`, at the size of a cell, with the ground
     /// truth that the capture has. A training and `--resolution` reduce photographs to less. Light rotations are kept.
     ///

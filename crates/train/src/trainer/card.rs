@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::dataset::Gain;
+use crate::time_budget::plan_card;
 use crate::trainer::Trainer;
 use crate::{TrainError, exposure, sampling_rate};
 use relume_engine::PhotoSize;
@@ -33,6 +34,9 @@ impl Trainer {
             "crop": self.crop_card(),
             "config": self.config,
         });
+        if let Some((field, plan)) = plan_card(&self.config, &self.schedule.timeline) {
+            model.card[field] = plan;
+        }
         Ok(model)
     }
 

@@ -15,16 +15,18 @@ impl Trainer {
         let last = (self.config.densify_until * total as f32) as u32;
         let first = (total / 50).max(50);
         let every = REFINE_EVERY.min((total / 15).max(10));
-        if step < first || step > last || !step.is_multiple_of(every) {
-            return Ok(());
-        }
+        let mut reached = self.schedule.timeline.covered(step);
+        let is_round = |p: &u32| (first..=last).contains(p) && p.is_multiple_of(every);
+        let Some(position) = reached.find(is_round) else { return Ok(()) };
         self.wait_for_steps()?;
         if self.tracker.non_finite_step.is_some() {
             return Ok(());
         }
         // The budget grows with the square root of progress, so that early Gaussians converge first.
-        let share = ((step - first) as f32 / (last - first).max(1) as f32).sqrt();
-        let (low, high) = (self.config.initial_gaussians as f32, self.config.max_gaussians as f32);
+        let share = ((position - first) as f32 / (last - first).max(1) as f32).sqrt();
+        let max = self.schedule.timeline.max_gaussians(step).unwrap_or(self.config.max_gaussians);
+        let max = max.min(self.config.max_gaussians);
+        let (low, high) = (self.config.initial_gaussians.min(max) as f32, max as f32);
         self.schedule.complexity.before_round(&self.config, step, self.engine.gaussians());
         let most = self.schedule.complexity.most_gaussians.unwrap_or(u32::MAX) as usize;
         let budget = ((low + (high - low) * share) as usize).min(most);
@@ -32,10 +34,10 @@ impl Trainer {
         let _span = tracing::info_span!("density", budget).entered();
         let signals = self.engine.density_signals()?;
         self.engine.rebuild(&density::plan(&signals, budget, centres.as_deref()))?;
-        if is_clearing_round(step, first, last, every) {
+        if is_clearing_round(position, first, last, every) {
             self.drop_unseen()?;
         }
-        if step > self.config.warm_up_steps() && self.measures() {
+        if position > self.config.warm_up_steps() && self.measures() {
             // New Gaussians need their own labels and gathered light.
             self.measure(1)?;
         }
@@ -56,7 +58,7 @@ impl Trainer {
 
 /// True for two of the density control rounds, which are `every` steps apart: half-way between `first` and `last`, and the last one.
 /// They also drop the Gaussians that no photograph shows, because the following rounds and steps then fill the gaps.
-fn is_clearing_round(step: u32, first: u32, last: u32, every: u32) -> bool {
-    let contains = |due: u32| step <= due && due - step < every;
+fn is_clearing_round(position: u32, first: u32, last: u32, every: u32) -> bool {
+    let contains = |due: u32| position <= due && due - position < every;
     contains(last) || contains(first + last.saturating_sub(first) / 2)
 }

@@ -5,6 +5,7 @@ mod crop;
 mod density_rounds;
 mod photographed_views;
 mod photographs;
+mod planned;
 mod preparation;
 mod step_results;
 mod step_tracker;
@@ -46,6 +47,19 @@ pub struct StepReport {
     pub gaussians: usize,
     /// A warning for the user, e.g. about a roll-back after a non-finite loss.
     pub warning: Option<String>,
+}
+
+/// The work that is due before a step.
+#[derive(Debug, Clone, Copy, Default)]
+struct DueEvents {
+    /// Materials and light start.
+    starts_materials: bool,
+    /// Visibility is measured.
+    measures: bool,
+    /// Exposures are compared.
+    matches_exposures: bool,
+    /// Albedo restarts.
+    restarts_albedo: bool,
 }
 
 /// Progress of a training.
@@ -145,9 +159,11 @@ impl Trainer {
             return self.roll_back();
         }
         let photo = self.schedule.next_photo();
-        let progress = self.schedule.step as f32 / self.config.iterations as f32;
-        let branches = schedule::branches(&self.config, self.schedule.step);
-        let size = schedule::photo_size(&self.config, self.schedule.step);
+        let timeline = &self.schedule.timeline;
+        let (progress, position) = (timeline.progress(self.schedule.step), self.schedule.position());
+        let material_start = timeline.step_of(self.config.warm_up_steps());
+        let branches = schedule::branches(&self.config, position);
+        let size = schedule::photo_size(&self.config, position);
         let photo_id = PhotoId { index: photo, size, revision: self.schedule.revision() };
         let photo = self.photograph(photo_id);
         let mut sizes = schedule::step_sizes(&self.config, branches, progress);
@@ -161,7 +177,7 @@ impl Trainer {
             weights.light = schedule::rotating_light_weights(weights.light);
         }
         let next = self.schedule.step + 1;
-        let material = next.saturating_sub(self.config.warm_up_steps()).max(1);
+        let material = next.saturating_sub(material_start).max(1);
         let sums = self.engine.step(&Step {
             photo: &photo,
             photo_id,
@@ -237,7 +253,9 @@ impl Trainer {
         self.engine.roll_back()?;
         let lights = self.engine.state()?.model.lights.clone();
         self.operators = Arc::new(self.operators.with_lights(&lights));
-        self.schedule = self.snapshot.clone();
+        // The plan is kept: time does not go back, and a repeated training has the whole plan from its start.
+        let (timeline, budget) = (self.schedule.timeline.clone(), self.schedule.budget);
+        self.schedule = ScheduleState { timeline, budget, ..self.snapshot.clone() };
         self.schedule.rate_factor *= 0.5f32.powi(self.rollbacks as i32);
         let factor = self.schedule.rate_factor;
         let step = self.schedule.step;
@@ -261,18 +279,17 @@ impl Trainer {
 
     /// Performs the work that is due before certain steps, e.g. starts materials or refreshes probes.
     fn prepare_step(&mut self) -> Result<(), TrainError> {
-        let (step, warm_up) = (self.schedule.step, self.config.warm_up_steps());
-        let is_measured =
-            self.measures() && step >= warm_up && (step - warm_up).is_multiple_of(self.config.probe_every);
-        let is_round = self.config.is_exposure_round(step) || self.config.is_albedo_round(step);
-        if !(step == warm_up || is_measured || is_round || self.is_decision_due()) {
+        let due = self.due_events();
+        if !(due.starts_materials || due.measures || due.matches_exposures || due.restarts_albedo)
+            && !self.is_decision_due()
+        {
             return Ok(());
         }
         self.wait_for_steps()?;
         if self.tracker.non_finite_step.is_some() {
             return Ok(());
         }
-        if step == warm_up {
+        if due.starts_materials {
             self.cut_out()?;
             let mut state = self.engine.state()?.into_owned();
             self.start_light(&mut state);
@@ -281,17 +298,31 @@ impl Trainer {
             }
             self.engine.load(state)?;
         }
-        if is_measured {
+        if due.measures {
             // The first measurement also determines each Gaussian's open side, which the second one uses.
-            self.measure(if step == warm_up { 2 } else { 1 })?;
+            self.measure(if due.starts_materials { 2 } else { 1 })?;
         }
-        if self.config.is_exposure_round(step) {
+        if due.matches_exposures {
             self.match_exposures()?;
         }
-        if self.config.is_albedo_round(step) {
+        if due.restarts_albedo {
             self.restart_albedo()?;
         }
         self.decide()
+    }
+
+    /// The events at the positions of the current step.
+    fn due_events(&self) -> DueEvents {
+        let (config, warm_up) = (&self.config, self.config.warm_up_steps());
+        let is_measured = |p: u32| p >= warm_up && (p - warm_up).is_multiple_of(config.probe_every);
+        let mut due = DueEvents::default();
+        for position in self.schedule.timeline.covered(self.schedule.step) {
+            due.starts_materials |= position == warm_up;
+            due.measures |= self.measures() && is_measured(position);
+            due.matches_exposures |= config.is_exposure_round(position);
+            due.restarts_albedo |= config.is_albedo_round(position);
+        }
+        due
     }
 
     /// Initialises the light and the materials, with the known or estimated colour of the light.
@@ -384,13 +415,14 @@ impl Trainer {
     }
 
     fn is_decision_due(&self) -> bool {
-        self.schedule.complexity.due(&self.config, self.schedule.step).is_some()
+        self.schedule.complexity.due(&self.config, self.schedule.position()).is_some()
     }
 
     /// Reduces the model to what the scene requires, if a decision is due.
     fn decide(&mut self) -> Result<(), TrainError> {
         let steps = self.schedule.step;
-        let Some(point) = self.schedule.complexity.due(&self.config, steps) else { return Ok(()) };
+        let position = self.schedule.position();
+        let Some(point) = self.schedule.complexity.due(&self.config, position) else { return Ok(()) };
         let state = self.engine.state()?;
         if state.model.check().is_err() {
             // The next step rolls back, and the schedule reaches this point again.
@@ -416,18 +448,18 @@ impl Trainer {
 
     /// Progress of the training.
     pub fn progress(&self) -> Progress {
-        Progress { step: self.schedule.step, total: self.config.iterations }
+        Progress { step: self.schedule.step, total: self.schedule.timeline.total() }
     }
 
     /// True when all steps are completed.
     pub fn is_done(&self) -> bool {
-        self.schedule.step >= self.config.iterations
+        self.schedule.step >= self.schedule.timeline.total()
     }
 
     /// Whether materials have been trained. A model cannot be relit before, or with a method that trains only colour.
     pub fn is_relightable(&self) -> bool {
-        let step = self.schedule.step.min(self.config.iterations.saturating_sub(1));
-        schedule::branches(&self.config, step).is_physical()
+        let position = self.schedule.position().min(self.config.iterations.saturating_sub(1));
+        schedule::branches(&self.config, position).is_physical()
     }
 
     /// The effective configuration.

@@ -25,10 +25,11 @@ impl Trainer {
     /// Photographs of the steps after the current one.
     fn next_photos(&self) -> Vec<PhotoId> {
         let next = self.schedule.step + 1;
-        let steps = next..self.config.iterations.min(next + AHEAD);
+        let timeline = &self.schedule.timeline;
+        let steps = next..timeline.total().max(next).min(next + AHEAD);
         let (photos, revision) = (self.schedule.next_photos(steps.len()), self.schedule.revision());
-        let named =
-            |(index, step)| PhotoId { index, size: schedule::photo_size(&self.config, step), revision };
+        let size = |step| schedule::photo_size(&self.config, timeline.position(step));
+        let named = |(index, step)| PhotoId { index, size: size(step), revision };
         photos.into_iter().zip(steps).map(named).collect()
     }
 }

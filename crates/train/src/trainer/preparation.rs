@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::dataset::Dataset;
 use crate::error::TrainError;
 use crate::state::ScheduleState;
+use crate::time_budget::Timeline;
 use crate::{checkpoint, initial, world_up};
 use relume_capture::Capture;
 use relume_engine::TrainState;
@@ -36,7 +37,7 @@ impl PreparedTraining {
         let data = prepare(capture, &mut config)?;
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let model = initial::model(capture, &data, &config, &mut rng);
-        let mut schedule = ScheduleState::new(data.len(), rng);
+        let mut schedule = ScheduleState::new(data.len(), config.iterations, rng);
         schedule.up = Some(capture.up.clone());
         Ok(Self::of(config, data, schedule, TrainState::new(model)))
     }
@@ -67,6 +68,13 @@ impl PreparedTraining {
     #[must_use]
     pub fn with_photo_cache(mut self, bytes: usize) -> Self {
         self.data.bound(bytes);
+        self
+    }
+
+    /// Repeats a recorded plan instead of one step per iteration.
+    #[must_use]
+    pub fn with_timeline(mut self, timeline: Timeline) -> Self {
+        self.schedule.timeline = timeline;
         self
     }
 

@@ -1,0 +1,229 @@
+//! Plans the remaining steps of a training again, so that it ends at the end of its time budget.
+//!
+//! The time of steps, measurements and restarts is measured separately, each relative to its cost
+//! ([`ScheduleCost`]). The number of events is fixed by the schedule; only the number of steps follows the time.
+
+use std::ops::RangeInclusive;
+
+use crate::time_budget::cost::ScheduleCost;
+use crate::time_budget::rates::Rate;
+use crate::time_budget::timeline::{PlanChange, Timeline};
+
+/// Seconds after which a measured step has 1/e of its weight, as a share of the budget.
+const MEMORY: f64 = 0.04;
+/// Time between two plans, as a share of the budget.
+const EVERY: f64 = 0.03;
+/// Time before the first plan, as a share of the budget, and the least number of steps before it.
+const MEASURED: f64 = 0.02;
+const MEASURED_STEPS: u32 = 8;
+/// Smallest change of the remaining steps that is worth a new plan.
+const LEAST_CHANGE: f64 = 0.01;
+/// Remaining steps per remaining position: the range that a plan may choose.
+const STRETCH: RangeInclusive<f64> = 0.05..=50.0;
+/// Cost of a restart relative to its prior in [`ScheduleCost`], until one was measured. Restarts of real captures took
+/// 1.4 to 1.7 times the prior.
+const RESTART_PRIOR: f64 = 1.6;
+/// Share of the schedule from which no new plan is made: there are too few steps left.
+const LAST_PLAN: f64 = 0.98;
+/// The reason that the plan records.
+pub const WHY_TIME: &str = "time";
+
+/// Rates of the kinds of work.
+#[derive(Debug, Clone)]
+struct Rates {
+    step: Rate,
+    measurement: Rate,
+    restart: Rate,
+}
+
+/// What remains of a training, in seconds by the current rates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Remaining {
+    /// One step at each remaining position.
+    steps: f64,
+    /// Measurements and restarts.
+    events: f64,
+}
+
+/// Measures a training and plans its remaining steps. All times are seconds of the budget, which a caller passes.
+#[derive(Debug, Clone)]
+pub struct Pacer {
+    budget: f64,
+    cost: ScheduleCost,
+    rates: Rates,
+    /// Time of the last call.
+    last: f64,
+    /// Completed steps at the last call.
+    last_step: u32,
+    /// Time and steps at the start of this run.
+    start: (f64, u32),
+    next_plan: f64,
+    /// Time after the last step, as a number of last steps.
+    finish_steps: f64,
+    /// Measured time after the last step, seconds, which replaces `finish_steps`.
+    finish: Option<f64>,
+    /// Time of other work that is still to come between the steps, seconds.
+    reserve: f64,
+    /// Whether a plan may add steps.
+    may_extend: bool,
+}
+
+impl Pacer {
+    /// Measures from `now`, after `step` steps. `finish_steps` is the expected time of the work after the last step, as
+    /// a number of last steps.
+    pub fn new(budget: f64, cost: ScheduleCost, now: f64, step: u32, finish_steps: f64) -> Self {
+        let memory = (MEMORY * budget).max(1.0);
+        let rates = Rates {
+            step: Rate::new(memory),
+            measurement: Rate::new(memory),
+            // At most five restarts; the last one counts most.
+            restart: Rate::new(memory),
+        };
+        let next_plan = now + (MEASURED * budget).max(1.0);
+        let (last, last_step, start) = (now, step, (now, step));
+        let (finish, reserve, may_extend) = (None, 0.0, true);
+        Self {
+            budget,
+            cost,
+            rates,
+            last,
+            last_step,
+            start,
+            next_plan,
+            finish_steps,
+            finish,
+            reserve,
+            may_extend,
+        }
+    }
+
+    /// Records that the training has completed `step` steps at `now`.
+    pub fn note(&mut self, timeline: &Timeline, step: u32, now: f64) {
+        let seconds = (now - self.last).max(0.0);
+        let before = std::mem::replace(&mut self.last_step, step);
+        self.last = now;
+        if step != before + 1 {
+            // A roll-back: its time belongs to no step.
+            return;
+        }
+        let work = self.work(timeline, before);
+        let has_events = work.measurement > 0.0 || work.restart > 0.0;
+        if !has_events {
+            return self.rates.step.record(seconds, work.step);
+        }
+        let Some(rate) = self.rates.step.per_cost() else { return };
+        let rest = (seconds - rate * work.step).max(0.0);
+        if work.restart > 0.0 {
+            let measured = work.measurement * self.measurement_rate(rate);
+            return self.rates.restart.record((rest - measured).max(0.0), work.restart);
+        }
+        self.rates.measurement.record(rest, work.measurement);
+    }
+
+    /// Time passes that belongs to no step.
+    pub fn skip_to(&mut self, now: f64) {
+        self.last = now;
+    }
+
+    /// Sets the measured time of the work after the last step, seconds.
+    pub fn set_finish(&mut self, seconds: f64) {
+        if seconds.is_finite() && seconds >= 0.0 {
+            self.finish = Some(seconds);
+        }
+    }
+
+    /// Sets the time of other work that is still to come between the steps, seconds.
+    pub fn set_reserve(&mut self, seconds: f64) {
+        if seconds.is_finite() {
+            self.reserve = seconds.max(0.0);
+        }
+    }
+
+    /// No later plan adds steps: the training is completing its schedule.
+    pub fn only_shorten(&mut self) {
+        self.may_extend = false;
+    }
+
+    /// Expected end of everything by the current plan, seconds of the budget; `None` before the first step.
+    pub fn end(&self, timeline: &Timeline) -> Option<f64> {
+        let step = self.last_step;
+        let left = self.remaining(timeline, step)?;
+        let positions = f64::from(timeline.positions() - timeline.position(step)).max(1.0);
+        let stretch = f64::from(timeline.total().saturating_sub(step)) / positions;
+        Some(self.last + left.steps * stretch + left.events + self.reserve + self.finish_seconds()?)
+    }
+
+    /// A new plan, if one is due and differs from the current one.
+    pub fn plan(&mut self, timeline: &Timeline) -> Option<PlanChange> {
+        let (now, step) = (self.last, self.last_step);
+        let is_measured = step >= self.start.1 + MEASURED_STEPS;
+        let position = timeline.position(step);
+        let is_late = f64::from(position) >= LAST_PLAN * f64::from(timeline.positions());
+        if now < self.next_plan || !is_measured || is_late || step >= timeline.total() {
+            return None;
+        }
+        let left = self.remaining(timeline, step)?;
+        let time = self.budget - now - self.finish_seconds()? - self.reserve - left.events;
+        self.next_plan = now + (EVERY * self.budget).max(0.5);
+        let positions = f64::from(timeline.positions() - position);
+        let stretch = (time / left.steps.max(1e-12)).clamp(*STRETCH.start(), *STRETCH.end());
+        let planned = f64::from(timeline.total() - step);
+        let steps = (positions * stretch).round().max(1.0);
+        let steps = if self.may_extend { steps } else { steps.min(planned) };
+        if (steps / planned - 1.0).abs() < LEAST_CHANGE {
+            return None;
+        }
+        let total = step.saturating_add(steps as u32);
+        Some(PlanChange { step, position, total, max_gaussians: None, why: WHY_TIME.to_owned() })
+    }
+
+    /// Cost of the step after `step` steps and of its events.
+    fn work(&self, timeline: &Timeline, step: u32) -> Work {
+        let (before, after) = (timeline.covered(step), timeline.covered(step + 1));
+        let cost = &self.cost;
+        Work {
+            step: cost.step(timeline.position(step)),
+            measurement: before.clone().map(|p| cost.measurements_before(p)).sum::<f64>()
+                + after.map(|p| cost.measurements_after(p)).sum::<f64>(),
+            restart: before.map(|p| cost.restart(p)).sum(),
+        }
+    }
+
+    /// What remains after `step` steps; `None` before the first measured step.
+    fn remaining(&self, timeline: &Timeline, step: u32) -> Option<Remaining> {
+        let rate = self.rates.step.per_cost()?;
+        let measurement = self.measurement_rate(rate);
+        let restart = self.rates.restart.per_cost().unwrap_or(rate * RESTART_PRIOR);
+        // The events of the current position are still to come.
+        let first = match timeline.covered(step) {
+            range if range.is_empty() => timeline.position(step) + 1,
+            range => *range.start(),
+        };
+        let positions = timeline.positions();
+        let cost = &self.cost;
+        let steps: f64 = (timeline.position(step)..positions).map(|p| cost.step(p)).sum();
+        let events = |p: u32| {
+            measurement * (cost.measurements_before(p) + cost.measurements_after(p + 1))
+                + restart * cost.restart(p)
+        };
+        Some(Remaining { steps: rate * steps, events: (first..positions).map(events).sum() })
+    }
+
+    /// Rate of measurements, given that of steps.
+    fn measurement_rate(&self, step: f64) -> f64 {
+        self.rates.measurement.per_cost().unwrap_or(step)
+    }
+
+    /// Time after the last step, seconds.
+    fn finish_seconds(&self) -> Option<f64> {
+        let expected = || Some(self.finish_steps * self.cost.last_step() * self.rates.step.per_cost()?);
+        self.finish.or_else(expected)
+    }
+}
+
+/// Cost of one step with its events.
+struct Work {
+    step: f64,
+    measurement: f64,
+    restart: f64,
+}
