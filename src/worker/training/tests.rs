@@ -144,8 +144,9 @@ async fn begun(claim: &FakeClaim, config: &TrainConfig) -> (WorldUp, u32) {
         abandoned: CancellationToken::new(),
         once: false,
     };
-    match worker.prepared(claim, config.clone()).await {
-        Ok(ControlFlow::Continue((capture, trainer))) => (capture.up.clone(), trainer.progress().step),
+    let clock = AttemptClock::start(&worker.source);
+    match worker.prepared(claim, config.clone(), &clock).await {
+        Ok(ControlFlow::Continue((capture, trainer, _))) => (capture.up.clone(), trainer.progress().step),
         Ok(ControlFlow::Break(ending)) => panic!("{ending:?}"),
         Err(error) => panic!("{}: {}", error.code, error.detail),
     }
