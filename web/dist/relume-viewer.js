@@ -1,1 +1,1 @@
-export{t as RelumeViewer}from"./assets/element-CchShzkn.js";
+export{t as RelumeViewer}from"./assets/element-DPXIAcMS.js";

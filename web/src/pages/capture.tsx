@@ -62,7 +62,9 @@ function Validation({ of: { report, bytes: size, problem, state } }: { of: Captu
 }
 
 function Found({ report, size }: { report: Report; size: number }) {
-  const warnings = [...report.warnings, ...(report.notes ?? []).map(({ text }) => text)]
+  const notes = report.notes ?? []
+  const facts = notes.filter(({ kind }) => kind === 'fact').map(({ text }) => text)
+  const warnings = [...report.warnings, ...notes.filter(({ kind }) => kind !== 'fact').map(({ text }) => text)]
   return (
     <>
       <Facts of={[
@@ -77,6 +79,8 @@ function Found({ report, size }: { report: Report; size: number }) {
       ]} />
       <h3>{warnings.length ? 'Worth knowing' : 'No warnings'}</h3>
       <ul class="notices">{warnings.map((warning) => <li key={warning} class="notice small">{warning}</li>)}</ul>
+      {facts.length ? <h3>Decided from the files</h3> : null}
+      <ul class="small">{facts.map((fact) => <li key={fact}>{fact}</li>)}</ul>
     </>
   )
 }
