@@ -21,7 +21,7 @@ const LEAST_CHANGE: f64 = 0.01;
 /// Remaining steps per remaining position: the range that a plan may choose.
 const STRETCH: RangeInclusive<f64> = 0.05..=50.0;
 /// Cost of a restart relative to its prior in [`ScheduleCost`], until one was measured. Restarts of real captures took
-/// 1.4 to 1.7 times the prior.
+/// 1.3 to 1.9 times the prior.
 const RESTART_PRIOR: f64 = 1.6;
 /// Share of the schedule from which no new plan is made: there are too few steps left.
 const LAST_PLAN: f64 = 0.98;
