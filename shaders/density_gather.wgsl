@@ -78,7 +78,8 @@ fn halved(place: Place, source_ix: u32, k: u32, value: f32, side: f32) -> f32 {
 @compute @workgroup_size(WG_SIZE)
 fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg: vec3u) {
     let element_ix = invocation_ix(gid, n_wg);
-    if element_ix >= now.radiance + 3u * now.n_radiance * now.n {
+    let last_field = N_PARAMETER_FIELDS - 1u;
+    if element_ix >= field_start(now, last_field) + field_width(now, last_field) * now.n {
         return;
     }
     let place = place_of(element_ix);

@@ -41,7 +41,7 @@ fn project_one(view: &RasterCamera, g: &Gaussians, i: usize) -> Option<ExactSpla
     let rotation = glam::DMat3::from_quat(glam::DQuat::from_xyzw(x, y, z, w));
     let scale = wide(g.row(Field::LogScale, i)).map(f64::exp);
     let screen = to.map(|t| std::array::from_fn(|c| scale[c] * dot(t, rotation.col(c).to_array())));
-    let low_pass = f64::from(view.low_pass);
+    let low_pass = low_pass_of(view, camera[2], f64::from(g.row(Field::SamplingRate, i)[0]));
     let [xx, xy, yy] = [dot(screen[0], screen[0]), dot(screen[0], screen[1]), dot(screen[1], screen[1])];
     let raw_determinant = xx * yy - xy * xy;
     let (xx, yy) = (xx + low_pass, yy + low_pass);
@@ -55,6 +55,13 @@ fn project_one(view: &RasterCamera, g: &Gaussians, i: usize) -> Option<ExactSpla
         opacity,
         order: view.depth_key(g.get(Field::Mean, i)),
     })
+}
+
+/// The low-pass of a Gaussian at `depth` that the photographs sample `rate` times per unit of length (docs/MODEL.md, section 2).
+fn low_pass_of(view: &RasterCamera, depth: f64, rate: f64) -> f64 {
+    let own = f64::from(view.low_pass);
+    let [fx, fy] = view.focal.map(f64::from);
+    if rate > 0.0 { own * (0.7 * fx * fy / (depth * rate).powi(2)).max(1.0) } else { own }
 }
 
 /// Values of a splat in one pixel.
