@@ -457,6 +457,8 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
         let terms = geometry_backward(gaussian_ix, up, &radiance);
         values.z = terms.x;
         values.w = terms.y;
+        // The sampling rate is measured, so nothing depends on it in training.
+        emit(model.sampling_rate + gaussian_ix, 0.0, FIELD_SAMPLING_RATE);
     }
     emit_radiance(gaussian_ix - local_ix, local_ix, radiance);
     reduce_losses(local_ix, values);

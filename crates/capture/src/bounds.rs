@@ -55,25 +55,32 @@ pub fn focus_region(cameras: &[&Camera]) -> (DVec3, f64) {
     (centre, positive(quantile(cameras.iter().map(radius).collect(), 0.5)))
 }
 
-/// The ball that the photographs show completely: the point that the cameras look at, and the radius around it that fills the shorter
-/// side of the median camera's image with the margin [`FRAME_MARGIN`]. `None` if their optical axes are too parallel to determine a point.
+/// The ball that a square picture of the photographs' area shows completely: the point that the cameras look at, and the radius around
+/// it that fills the median of these pictures with the margin [`FRAME_MARGIN`]. `None` if their optical axes are too parallel to determine a point.
 pub fn shown_ball(cameras: &[&Camera]) -> Option<(DVec3, f64)> {
     let axes = axes_of(cameras);
     if axes.normal.determinant() < MIN_CONVERGENCE * axes.count.powi(3) || axes.count < 2.0 {
         return None;
     }
     let centre = axes.nearest_point();
-    let radius = |camera: &&Camera| (camera.centre() - centre).length() * half_angle(camera).sin();
+    let radius = |camera: &&Camera| (camera.centre() - centre).length() * square_half_angle(camera).sin();
     let radius = quantile(cameras.iter().map(radius).collect(), 0.5) / FRAME_MARGIN;
     (centre.is_finite() && radius > 0.0).then_some((centre, radius))
 }
 
 /// Half the field of view of the shorter side of a camera's image, radians.
-pub(super) fn half_angle(camera: &Camera) -> f64 {
+fn half_angle(camera: &Camera) -> f64 {
     f64::min(
         (0.5 * f64::from(camera.width) / camera.fx).atan(),
         (0.5 * f64::from(camera.height) / camera.fy).atan(),
     )
+}
+
+/// Half the field of view of a square picture with the area of a camera's image, radians. A subject that a photograph of any aspect
+/// shows away from its middle remains in such a picture.
+pub(super) fn square_half_angle(camera: &Camera) -> f64 {
+    let area = f64::from(camera.width) / camera.fx * f64::from(camera.height) / camera.fy;
+    (0.5 * area.sqrt()).atan()
 }
 
 /// The default view of a model: the camera in the middle of all directions, pointed at the point nearest to all

@@ -27,7 +27,7 @@ pub struct PhotographedViews {
     pub azimuth_deg: f64,
     /// Median elevation of the cameras, degrees above the horizon, -90 to 90.
     pub elevation_deg: f64,
-    /// Median field of view of the shorter side of the photographs, degrees.
+    /// Field of view of a square picture with the area of a photograph, median, degrees.
     pub fov_deg: f64,
     /// Directions from `target` to the cameras, in the order of the photographs; a part of them in large captures.
     pub photographs: Vec<PhotographedDirection>,

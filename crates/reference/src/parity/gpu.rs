@@ -143,8 +143,6 @@ fn read(
     let mut gradients = shared(model, prototypes, &by_raw[..3 * buffers.n_texels]);
     let mut rows = model.gaussians.clone();
     from_planar(&gpu.read(&parity_buffers.out, 0..buffers.layout.floats())?, &mut rows);
-    // The kernel writes no gradient of the sampling rate, which does not train.
-    rows.field_mut(Field::SamplingRate).fill(0.0);
     for field in Field::ALL {
         let values = rows.field(field).iter().map(|v| f64::from(*v)).collect();
         gradients.insert(field.name(), Array::new(&[rows.len(), rows.width(field)], values));

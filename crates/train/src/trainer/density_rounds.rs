@@ -62,3 +62,20 @@ fn is_clearing_round(position: u32, first: u32, last: u32, every: u32) -> bool {
     let contains = |due: u32| position <= due && due - position < every;
     contains(last) || contains(first + last.saturating_sub(first) / 2)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_rounds_also_drop_gaussians_without_a_photograph() {
+        for (first, last, every) in [(50, 900, 100), (50, 450, 50), (140, 4200, 100)] {
+            let rounds = (first..=last).filter(|position| position.is_multiple_of(every));
+            let clearing: Vec<u32> =
+                rounds.filter(|position| is_clearing_round(*position, first, last, every)).collect();
+            assert_eq!(clearing.len(), 2, "{clearing:?}");
+            assert!(last - clearing[1] < every && clearing[0] > first, "{clearing:?}");
+        }
+        assert!(!is_clearing_round(100, 50, 900, 100), "the control: an early round");
+    }
+}
