@@ -20,6 +20,9 @@ const MEASURED_STEPS: u32 = 8;
 const LEAST_CHANGE: f64 = 0.01;
 /// Remaining steps per remaining position: the range that a plan may choose.
 const STRETCH: RangeInclusive<f64> = 0.05..=50.0;
+/// Largest factor by which one plan changes the remaining steps. The costs of events are only estimates before the first of their
+/// kind, and steps that a plan has left out do not come back.
+const LARGEST_CHANGE: f64 = 2.0;
 /// Cost of a restart relative to its prior in [`ScheduleCost`], until one was measured. Restarts of real captures took
 /// 1.3 to 1.9 times the prior.
 const RESTART_PRIOR: f64 = 1.6;
@@ -166,8 +169,11 @@ impl Pacer {
         let time = self.budget - now - self.finish_seconds()? - self.reserve - left.events;
         self.next_plan = now + (EVERY * self.budget).max(0.5);
         let positions = f64::from(timeline.positions() - position);
-        let stretch = (time / left.steps.max(1e-12)).clamp(*STRETCH.start(), *STRETCH.end());
         let planned = f64::from(timeline.total() - step);
+        let current = planned / positions;
+        let stretch = (time / left.steps.max(1e-12))
+            .clamp(current / LARGEST_CHANGE, current * LARGEST_CHANGE)
+            .clamp(*STRETCH.start(), *STRETCH.end());
         let steps = (positions * stretch).round().max(1.0);
         let steps = if self.may_extend { steps } else { steps.min(planned) };
         if (steps / planned - 1.0).abs() < LEAST_CHANGE {

@@ -69,7 +69,7 @@ mod tests {
 
     #[test]
     fn two_rounds_also_drop_gaussians_without_a_photograph() {
-        for (first, last, every) in [(50, 900, 100), (50, 450, 50), (140, 4200, 100)] {
+        for (first, last, every) in [(50u32, 900, 100u32), (50, 450, 50), (140, 4200, 100)] {
             let rounds = (first..=last).filter(|position| position.is_multiple_of(every));
             let clearing: Vec<u32> =
                 rounds.filter(|position| is_clearing_round(*position, first, last, every)).collect();
