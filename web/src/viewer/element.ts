@@ -1,11 +1,12 @@
-import type { Engine, EngineListener, ViewerMode } from './engine'
+// The extension makes the published types resolvable for programs of Node's module resolution.
+import type { Engine, EngineListener, ViewerMode } from './engine.js'
 import { Frames, type Look } from './frames'
 import { LiveView } from './live'
-import { eye, Orbit, type OrbitView } from './orbit'
+import { eye, Orbit, type OrbitView } from './orbit.js'
 import { PhotographedMap } from './photographed'
 import { ServedView } from './served'
 
-export type { ViewerMode } from './engine'
+export type { ViewerMode } from './engine.js'
 
 /** The detail of the event `relume-view`: the camera with its position `eye`, in degrees and capture units. */
 export interface ViewDetail extends OrbitView {
