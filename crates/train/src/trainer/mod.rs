@@ -62,6 +62,12 @@ struct DueEvents {
     restarts_albedo: bool,
 }
 
+impl DueEvents {
+    fn has_any(self) -> bool {
+        self.starts_materials || self.measures || self.matches_exposures || self.restarts_albedo
+    }
+}
+
 /// Progress of a training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Progress {
@@ -280,9 +286,7 @@ impl Trainer {
     /// Performs the work that is due before certain steps, e.g. starts materials or refreshes probes.
     fn prepare_step(&mut self) -> Result<(), TrainError> {
         let due = self.due_events();
-        if !(due.starts_materials || due.measures || due.matches_exposures || due.restarts_albedo)
-            && !self.is_decision_due()
-        {
+        if !(due.has_any() || self.is_decision_due()) {
             return Ok(());
         }
         self.wait_for_steps()?;
