@@ -32,7 +32,7 @@ pub enum TruthLayer {
 /// Relit PSNR of `model` in dB for each set of layers in `replacements`: mean over `capture`'s lights of the mean
 /// over its views (at most `views`). Layers without ground truth stay those of the model. `None` without relit ground
 /// truth. Surfaces are always shaded per pixel, because the ground truth is known per pixel. A model that is shaded
-/// at its Gaussians therefore has another PSNR here than in [`crate::eval::evaluate`], even without replacements.
+/// at its Gaussians therefore has another PSNR here than in [`crate::eval::evaluate()`], even without replacements.
 ///
 /// # Errors
 /// Names the view and layer whose size differs from that of its camera; otherwise the renderer's error.

@@ -14,7 +14,7 @@ use relume_engine::Device;
 use relume_scene::Model;
 use relume_spec::rendering::Quality;
 
-/// A comparison of a model with photographs, as in [`crate::eval::evaluate`], without LPIPS.
+/// A comparison of a model with photographs, as in [`crate::eval::evaluate()`], without LPIPS.
 pub struct NovelViews {
     renderer: Renderer,
     light: RotatedLight,
