@@ -1,5 +1,5 @@
-//! Recognises poses of another convention than that of their layout, which is camera-to-world with OpenGL axes, and converts them
-//! where no other reading is plausible.
+//! Converts poses that do not follow the convention of their layout (camera-to-world matrices with OpenGL axes), if no other
+//! reading is plausible.
 
 use glam::{DMat4, DVec3};
 

@@ -40,7 +40,7 @@ fn config(until: Option<&str>, budget: Option<u32>) -> TrainConfig {
     TrainConfig { until, time_budget_s: budget, ..config }
 }
 
-/// Trains with a clock that advances by [`STEP`] a step, at most to `stop`. Returns the time and what was told.
+/// Trains with a clock that advances by [`STEP`] a step, at most to `stop`. Returns the time and the messages of the pacing.
 fn paced(trainer: &mut Trainer, from: f64, stop: u32) -> (f64, Vec<String>) {
     let start = PacingStart { now: from, cost: None, finish_steps: 0.0 };
     let mut pacing = Pacing::new(trainer, capture(), &start).unwrap().unwrap();

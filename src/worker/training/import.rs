@@ -15,7 +15,7 @@ use relume_spec::training::TrainConfig;
 use relume_train::time_budget::{Planning, StepCost, import_planned};
 use relume_train::{MemoryBudget, MemoryEstimate, PhotographSizes, import_in_world};
 
-/// What is known before the capture of a job with a time budget is read.
+/// Inputs of the plan of a job with a time budget, which the worker makes before it reads the capture.
 pub(super) struct ImportPlanning {
     /// Measured cost of a step, seconds.
     pub(super) cost: StepCost,

@@ -114,7 +114,7 @@ impl DefaultView {
     }
 }
 
-/// The camera of `orbit` around the whole model, whatever was photographed.
+/// The camera of `orbit` around the whole model. The record of the photographed directions has no effect.
 ///
 /// # Errors
 /// Names the field that gives no valid camera.

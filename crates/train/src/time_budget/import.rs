@@ -14,7 +14,7 @@ const DECODE_PIXEL: f64 = 4e-8;
 /// Bytes of memory per pixel that is assumed before photographs are decoded.
 const BYTES_A_PIXEL: f64 = 4.0;
 
-/// What is known before the capture is read.
+/// Inputs of the plan that a training makes before it reads the capture.
 #[derive(Clone, Copy)]
 pub struct Planning<'a> {
     /// Settings of the caller, with a time budget.

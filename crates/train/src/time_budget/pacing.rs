@@ -34,12 +34,13 @@ pub struct BudgetState {
     pub cost: StepCost,
 }
 
-/// What is known when the steps begin.
+/// Inputs of a [`Pacing`] at the start of the steps.
 #[derive(Debug, Clone, Copy)]
 pub struct PacingStart {
     /// Seconds of the budget that have passed, over all runs.
     pub now: f64,
-    /// Measured cost of a step, seconds. `None`: that of the checkpoint, otherwise only its ratios are known.
+    /// Measured cost of a step, seconds. `None`: the cost in the checkpoint is used; without one, the pacing uses only the ratios
+    /// between the kinds of work.
     pub cost: Option<StepCost>,
     /// Expected time of the work after the last step, as a number of last steps.
     pub finish_steps: f64,

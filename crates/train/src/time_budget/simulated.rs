@@ -1,4 +1,4 @@
-//! Trainings on simulated machines: plans end in time, whatever the machine does.
+//! Tests with simulated machines: trainings end in time on fast, slow and changing machines.
 
 use crate::time_budget::cost::{ScheduleCost, StepCost};
 use crate::time_budget::pacer::Pacer;

@@ -23,7 +23,7 @@ pub struct Photograph {
     pub light: SceneLight,
 }
 
-/// What is read from a file.
+/// The kind of an image file's content, which decides the conversion of its values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Reading {
     /// The values of a mask or map, clamped to [0, 1], without regard to a colour profile.

@@ -1,4 +1,4 @@
-//! The rows of a table that become Gaussians, and those that are left out or repaired.
+//! Selects the rows of a table that become Gaussians, and counts the rows that it leaves out or repairs.
 
 use crate::formats::ply_table::{PlyError, PlyTable, bad};
 use crate::formats::splat_import::columns::SplatColumns;
