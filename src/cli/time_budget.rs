@@ -7,19 +7,17 @@ use std::time::Instant;
 use crate::cli::error::CommandResult;
 use crate::cli::input;
 use crate::cli::progress::ProgressReporter;
-use crate::cli::train_summary::TrainedCapture;
+use crate::cli::train_summary::{MAX_VIEWS, TrainedCapture};
 use relume_capture::{Capture, ImportLimits, Up};
 use relume_engine::Device;
 use relume_spec::training::{TrainConfig, TrainOverrides};
 use relume_train::time_budget::{
-    Pacing, PacingStart, Planning, RecordedPlan, StepCost, import_planned, scaled_cost, step_cost,
+    Pacing, PacingStart, Planning, RecordedPlan, StepCost, import_planned, measurement_limit, scaled_cost,
+    step_cost,
 };
 use relume_train::{MemoryBudget, Trainer};
 use std::sync::Arc;
 
-/// Longest measurement of the machine in each of three sizes, as a share of the budget, and its bounds in seconds.
-const MEASURED_SHARE: f64 = 0.004;
-const MEASURED_SECONDS: [f64; 2] = [0.1, 1.0];
 /// Ratios of the measured cost on the photographs to the expected one that do not change the plan.
 const SAME_COST: std::ops::RangeInclusive<f64> = 0.85..=1.2;
 /// Longest time to read the photographs, as a share of the budget, so that they may be read again at another size.
@@ -27,8 +25,6 @@ const READ_AGAIN_SHARE: f64 = 0.06;
 /// Expected time to compare one photograph after the training, as a number of last steps, and that of a contact sheet.
 const COMPARED_STEPS: f64 = 5.0;
 const SHEET_STEPS: f64 = 25.0;
-/// Photographs that are compared after a training, before their number is known.
-const COMPARED: usize = 8;
 
 /// The seconds of a time budget that have passed, over all runs of a training.
 #[derive(Debug)]
@@ -83,11 +79,11 @@ pub(super) fn planned_capture(
     has_sheet: bool,
 ) -> CommandResult<(Capture, TrainConfig, StepCost)> {
     let budget = overrides.time_budget_s.map_or(0.0, f64::from);
-    let limit = (MEASURED_SHARE * budget).clamp(MEASURED_SECONDS[0], MEASURED_SECONDS[1]);
+    let limit = measurement_limit(budget);
     let cost = step_cost(device, &|| clock.now(), limit)?;
     let (start, earlier) = (clock.start, clock.earlier.get());
     let now = move || earlier + start.elapsed().as_secs_f64();
-    let finish_steps = finish_steps(COMPARED, has_sheet);
+    let finish_steps = finish_steps(MAX_VIEWS, has_sheet);
     let import = |cost| {
         let planning = Planning { overrides, cost, finish_steps, now: &now };
         import_planned(path, up, &ImportLimits::default(), memory, &planning)

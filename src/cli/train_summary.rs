@@ -17,7 +17,7 @@ use relume_train::eval::{
 };
 
 /// Greatest number of compared views, as in the evaluation of a job.
-const MAX_VIEWS: usize = 8;
+pub(super) const MAX_VIEWS: usize = 8;
 /// Time to read the photographs of a whole sheet again, relative to those of one row.
 const READ_AGAIN: f64 = 1.5;
 

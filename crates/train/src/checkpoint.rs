@@ -163,7 +163,9 @@ pub fn up(bytes: &[u8]) -> Result<(UpAxis, Option<WorldUp>), TrainError> {
 pub fn planned_config(bytes: &[u8], config: &TrainConfig) -> Result<TrainConfig, TrainError> {
     let header = header(bytes)?;
     if header.config.time_budget_s != config.time_budget_s {
-        return Err(bad("config.time_budget_s", "differs from the time budget of this training"));
+        let reason =
+            "differs from the time budget of this training: give the same one, or another checkpoint file";
+        return Err(bad("config.time_budget_s", reason));
     }
     let mut planned = config.clone();
     if config.time_budget_s.is_some() {
@@ -311,8 +313,7 @@ mod tests {
         let plain = encode(&schedule, &state(), &planned).unwrap();
         assert!(!String::from_utf8_lossy(&plain).contains("\"plan\""), "the control: no change");
         schedule.step = 30;
-        let change =
-            PlanChange { step: 20, position: 20, total: 500, max_gaussians: None, why: "time".to_owned() };
+        let change = PlanChange { step: 20, position: 20, total: 500, why: "time".to_owned() };
         schedule.timeline.change(change).unwrap();
         schedule.budget = Some(BudgetState { used: 7.5, cost: StepCost::RELATIVE });
         let bytes = encode(&schedule, &state(), &planned).unwrap();

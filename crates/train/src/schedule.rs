@@ -15,6 +15,10 @@ const ROTATING_LIGHT_EXPOSURE: f32 = 0.01;
 /// Progress at which sheen starts to train. Earlier it explains effects of normals, roughness and light.
 const SHEEN_FROM: f32 = 0.7;
 
+/// First position that may have a round of density control, and the largest distance between two rounds.
+const FIRST_ROUND: u32 = 50;
+const ROUND_EVERY: u32 = 100;
+
 /// Number of iterations above which materials, normals and light take proportionally smaller steps. Larger total
 /// updates would only fit noise of the photographs.
 const REFERENCE_ITERATIONS: f32 = 6000.0;
@@ -38,6 +42,46 @@ pub fn branches(config: &TrainConfig, step: u32) -> Branches {
 pub fn photo_size(config: &TrainConfig, step: u32) -> PhotoSize {
     let progress = step as f32 / config.iterations as f32;
     if progress < config.half_resolution { PhotoSize::Half } else { PhotoSize::Full }
+}
+
+/// True when the training measures visibility, for labels or for bounced light.
+pub fn measures(config: &TrainConfig) -> bool {
+    config.bounces > 0 || matches!(config.labels, LabelSource::Probes | LabelSource::Both)
+}
+
+/// The rounds of density control.
+pub fn density_rounds(config: &TrainConfig) -> DensityRounds {
+    let total = config.iterations;
+    DensityRounds {
+        first: (total / 50).max(FIRST_ROUND),
+        last: (config.densify_until * total as f32) as u32,
+        every: ROUND_EVERY.min((total / 15).max(10)),
+    }
+}
+
+/// Positions of rounds of density control: the multiples of `every` from `first` to `last`.
+#[derive(Debug, Clone, Copy)]
+pub struct DensityRounds {
+    /// The position before which there is no round.
+    pub first: u32,
+    /// The position after which there is no round.
+    pub last: u32,
+    /// Distance between rounds.
+    pub every: u32,
+}
+
+impl DensityRounds {
+    /// Whether a round is due after the step that reaches `position`.
+    pub fn contains(&self, position: u32) -> bool {
+        (self.first..=self.last).contains(&position) && position.is_multiple_of(self.every)
+    }
+
+    /// True for two of the rounds: half-way and the last one. They also drop the Gaussians that no photograph shows, because the
+    /// following rounds and steps then fill the gaps.
+    pub fn is_clearing(&self, position: u32) -> bool {
+        let is_last_before = |due: u32| position <= due && due - position < self.every;
+        is_last_before(self.last) || is_last_before(self.first + self.last.saturating_sub(self.first) / 2)
+    }
 }
 
 /// Weights of the objective at `progress` in [0, 1]. `light` is the colour towards which the light is regularised.
@@ -190,5 +234,16 @@ mod tests {
         let weights = |step| step_weights(&config, at(step), 0.5, true, LightColour::NEUTRAL);
         assert_eq!(weights(75).physical, ImageWeights::default());
         assert!(weights(375).physical.l1 > 0.0 && weights(375).radiance.l1 < weights(75).radiance.l1);
+    }
+
+    #[test]
+    fn two_rounds_also_drop_gaussians_without_a_photograph() {
+        for iterations in [750, 1_500, 3_000, 12_000] {
+            let rounds = density_rounds(&TrainConfig { iterations, ..TrainConfig::on_curve(0.0) });
+            let all: Vec<u32> = (0..iterations).filter(|position| rounds.contains(*position)).collect();
+            let clearing: Vec<u32> = all.iter().copied().filter(|p| rounds.is_clearing(*p)).collect();
+            assert_eq!((clearing.len(), clearing.get(1)), (2, all.last()), "{iterations}: {clearing:?}");
+            assert!(all[0] < clearing[0] && all.len() > 4, "the control: {all:?}");
+        }
     }
 }

@@ -125,6 +125,17 @@ fn training_stops_when_held_out_views_meet_the_condition() {
 }
 
 #[test]
+fn a_budget_and_a_condition_end_at_whichever_comes_first() {
+    let mut met = new(&config(Some("novel_view.psnr>=3"), Some(BUDGET)));
+    let (end, told) = paced(&mut met, 0.0, u32::MAX);
+    assert!(met.is_done() && end < 0.9 * f64::from(BUDGET), "{end} {told:?}");
+    let mut unmet = new(&config(Some("novel_view.psnr>=99"), Some(BUDGET)));
+    let (end, told) = paced(&mut unmet, 0.0, u32::MAX);
+    assert!(unmet.is_done() && end < 1.1 * f64::from(BUDGET), "{end} {told:?}");
+    assert!(unmet.progress().step > met.progress().step, "the control");
+}
+
+#[test]
 fn a_condition_without_held_out_views_is_refused() {
     let mut bare = capture().clone();
     bare.test.clear();

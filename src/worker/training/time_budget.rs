@@ -10,12 +10,9 @@ use crate::worker::training::preparation::Checkpoint;
 use relume_capture::Capture;
 use relume_engine::Device;
 use relume_spec::training::TrainConfig;
-use relume_train::time_budget::{Pacing, PacingStart, StepCost, step_cost};
+use relume_train::time_budget::{Pacing, PacingStart, StepCost, measurement_limit, step_cost};
 use relume_train::{TrainError, Trainer, planned_config};
 
-/// Longest measurement of the machine in each of three sizes, as a share of the budget, and its bounds in seconds.
-const MEASURED_SHARE: f64 = 0.004;
-const MEASURED_SECONDS: [f64; 2] = [0.1, 1.0];
 /// Expected time to compare one held-out view, and to publish the model, as numbers of last steps.
 const COMPARED_STEPS: f64 = 2.0;
 const PUBLISHED_STEPS: f64 = 5.0;
@@ -59,7 +56,7 @@ impl Worker {
         clock: &AttemptClock,
     ) -> Result<StepCost, AttemptError> {
         let budget = config.time_budget_s.map_or(0.0, f64::from);
-        let limit = (MEASURED_SHARE * budget).clamp(MEASURED_SECONDS[0], MEASURED_SECONDS[1]);
+        let limit = measurement_limit(budget);
         Ok(step_cost(device, &|| clock.seconds(), limit)?)
     }
 }

@@ -214,7 +214,7 @@ fn a_time_budget_is_bounded_and_excludes_iterations() {
 #[test]
 fn a_config_without_a_budget_has_no_fields_of_it() {
     let json = serde_json::to_string(&TrainConfig::preset(Preset::Draft)).unwrap();
-    assert!(!json.contains("time_budget_s") && !json.contains("until\":\""), "{json}");
+    assert!(!json.contains("time_budget_s") && !json.contains("\"until\""), "{json}");
     let overrides = serde_json::to_string(&TrainOverrides::default()).unwrap();
     assert!(!overrides.contains("time_budget_s") && !overrides.contains("\"until\""), "{overrides}");
     let given = TrainOverrides { time_budget_s: Some(60), ..Default::default() };

@@ -60,8 +60,7 @@ impl Dataset {
         let background = if has_alpha { WHITE } else { [0.0; 3] };
         let degrees = |view: &CaptureView| if config.light_rotations { view.light_rotation_deg } else { 0.0 };
         let (rotations, lights) = LightRotations::of(&capture.train.iter().map(degrees).collect::<Vec<_>>());
-        let ranges = capture.train.iter().map(|view| view.image.range());
-        let range = ranges.fold(DisplayRange::Unit, DisplayRange::union);
+        let range = capture.train.iter().map(|view| view.image.range()).max().unwrap_or_default();
         let photo = |(view, light): (&CaptureView, &LightRotation)| {
             let sizes = [2, 1].map(|divisor| reduced_size(view, config.resolution, divisor));
             let camera =

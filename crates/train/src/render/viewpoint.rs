@@ -64,8 +64,8 @@ struct DefaultView {
     distance: f64,
     /// Counted from `zero_deg`.
     azimuth_deg: f64,
-    /// Radians above the horizon.
-    elevation: f64,
+    /// Above the horizon.
+    elevation_deg: f64,
     fov_deg: f64,
     /// The azimuth from which azimuths are counted, degrees from +x.
     zero_deg: f64,
@@ -85,7 +85,7 @@ impl DefaultView {
             target: views.target,
             distance,
             azimuth_deg: 0.0,
-            elevation: views.elevation_deg.to_radians(),
+            elevation_deg: views.elevation_deg,
             fov_deg,
             zero_deg: views.azimuth_deg,
         }
@@ -98,18 +98,16 @@ impl DefaultView {
             target,
             distance: away.length(),
             azimuth_deg: away.y.atan2(away.x).to_degrees(),
-            elevation: away.z.atan2(away.truncate().length()),
+            elevation_deg: away.z.atan2(away.truncate().length()).to_degrees(),
             fov_deg,
             zero_deg: 0.0,
         }
     }
 
     fn camera(&self, orbit: &Orbit) -> Result<Camera, CameraError> {
-        let azimuth = (self.zero_deg + orbit.azimuth_deg.unwrap_or(self.azimuth_deg)).to_radians();
-        let elevation = orbit.elevation_deg.map_or(self.elevation, f64::to_radians);
-        let (sin_a, cos_a) = azimuth.sin_cos();
-        let (sin_e, cos_e) = elevation.sin_cos();
-        let eye = self.target + DVec3::new(cos_a * cos_e, sin_a * cos_e, sin_e) * self.distance;
+        let azimuth_deg = self.zero_deg + orbit.azimuth_deg.unwrap_or(self.azimuth_deg);
+        let elevation_deg = orbit.elevation_deg.unwrap_or(self.elevation_deg);
+        let eye = self.target + self.distance * direction_of(azimuth_deg, elevation_deg);
         Camera::look_at(eye, self.target, DVec3::Z, self.fov_deg.to_radians(), (orbit.size, orbit.size))
     }
 }
@@ -124,12 +122,10 @@ pub(super) fn camera_around(model: &Model, orbit: &Orbit) -> Result<Camera, Came
 
 /// The default view of `model`.
 pub(super) fn framing(model: &Model) -> Framing {
-    let Some(views) = PhotographedViews::of_card(&model.card) else {
-        return model.framing.unwrap_or_else(|| around(model));
-    };
-    let (distance, fov_deg) = views.distance_and_fov();
-    let direction = direction_of(views.azimuth_deg, views.elevation_deg);
-    Framing { eye: views.target + distance * direction, target: views.target, fov_deg }
+    match PhotographedViews::of_card(&model.card) {
+        Some(views) => views.framing(),
+        None => model.framing.unwrap_or_else(|| around(model)),
+    }
 }
 
 /// A view of the complete unit ball.

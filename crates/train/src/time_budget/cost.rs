@@ -5,10 +5,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use relume_spec::training::{LabelSource, TrainConfig};
+use crate::schedule;
+use relume_engine::PhotoSize;
+use relume_spec::training::TrainConfig;
 
-/// Cost of a pixel relative to a Gaussian. This constant and the next three were measured on the CPU engine; only
-/// their ratios matter.
+/// Cost of a pixel, if a Gaussian costs 1. This constant and the next three were measured on the CPU engine; only their ratios
+/// matter.
 const PIXEL: f64 = 0.45;
 /// Cost of a step of both branches relative to a step of the radiance branch.
 const SHADED: f64 = 2.25;
@@ -16,9 +18,6 @@ const SHADED: f64 = 2.25;
 const PROBE: f64 = 0.4;
 /// Cost of a search for dominant lights relative to one measurement of the visibility.
 const LIGHTS: f64 = 5.0;
-/// Maximum positions between rounds of density control, and minimum positions before the first round.
-const ROUND_EVERY: u32 = 100;
-const FIRST_ROUND: u32 = 50;
 
 /// The cost of a step with both branches: `fixed + pixel * pixels + gaussian * Gaussians`, seconds or relative.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -43,7 +42,7 @@ impl StepCost {
         if ![small, pixels, gaussians].iter().all(is_positive) {
             return None;
         }
-        // If the time were all in pixels and Gaussians.
+        // Seconds per unit of relative cost, if a step had no fixed cost.
         let pace = gaussians.2 / Self::RELATIVE.of(gaussians.0, gaussians.1);
         let slope = |more: f64, time: f64, least: f64| (time / more).max(0.01 * least);
         let pixel = slope(pixels.0 - small.0, pixels.2 - small.2, pace * Self::RELATIVE.pixel);
@@ -86,8 +85,10 @@ impl ScheduleCost {
     /// Cost of one optimisation step at a position.
     pub fn step(&self, position: u32) -> f64 {
         let config = &self.config;
-        let is_half = (position as f32) < config.half_resolution * config.iterations as f32;
-        let pixels = if is_half { self.pixels / 4.0 } else { self.pixels };
+        let pixels = match schedule::photo_size(config, position) {
+            PhotoSize::Half => self.pixels / 4.0,
+            PhotoSize::Full => self.pixels,
+        };
         let whole = self.step.of(pixels, self.gaussians(position));
         if position >= config.warm_up_steps() { whole } else { whole / SHADED }
     }
@@ -109,9 +110,7 @@ impl ScheduleCost {
 
     /// Cost of the measurement after a step that reaches a position, in a round of density control.
     pub fn measurements_after(&self, position: u32) -> f64 {
-        let (first, last) = self.rounds();
-        let every = ROUND_EVERY.min((self.config.iterations / 15).max(10));
-        let is_round = position.is_multiple_of(every) && (first..=last).contains(&position);
+        let is_round = schedule::density_rounds(&self.config).contains(position);
         match is_round && self.shaded(position).is_some_and(|shaded| shaded > 0) {
             true => self.measurement(position),
             false => 0.0,
@@ -129,9 +128,8 @@ impl ScheduleCost {
 
     /// Steps that train materials so far, if visibility is measured there.
     fn shaded(&self, position: u32) -> Option<u32> {
-        let config = &self.config;
-        let measures = config.bounces > 0 || matches!(config.labels, LabelSource::Probes | LabelSource::Both);
-        position.checked_sub(config.warm_up_steps()).filter(|_| measures)
+        let shaded = position.checked_sub(self.config.warm_up_steps());
+        shaded.filter(|_| schedule::measures(&self.config))
     }
 
     /// Cost of one measurement of the visibility.
@@ -143,17 +141,11 @@ impl ScheduleCost {
     /// Estimated number of Gaussians at a position: growth by density control up to its limit.
     fn gaussians(&self, position: u32) -> f64 {
         let config = &self.config;
-        let (first, last) = self.rounds();
+        let schedule::DensityRounds { first, last, .. } = schedule::density_rounds(config);
         let share = f64::from(position.min(last).saturating_sub(first))
             / f64::from(last.saturating_sub(first).max(1));
         let (low, high) = (f64::from(config.initial_gaussians), f64::from(config.max_gaussians));
         low + (high - low) * share.sqrt()
-    }
-
-    /// Positions of the first and of the last round of density control.
-    fn rounds(&self) -> (u32, u32) {
-        let total = self.config.iterations;
-        ((total / 50).max(FIRST_ROUND), (self.config.densify_until * total as f32) as u32)
     }
 }
 

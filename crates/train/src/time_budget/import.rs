@@ -54,7 +54,6 @@ pub fn import_planned(
     let trained: Vec<(u32, u32)> =
         capture.train.iter().map(|view| (view.image.width, view.image.height)).collect();
     let pixels = mean_pixels(&trained, chosen.resolution);
-    // The steps that fit are counted from those of the position, which `chosen` has changed already.
     Ok((capture, with_steps_for(&chosen, pixels, cost, budget - now(), finish_steps)))
 }
 

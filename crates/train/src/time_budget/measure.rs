@@ -20,6 +20,11 @@ const MOST: u32 = 40;
 /// Accepted ratios of the time on photographs to the time on the synthetic scene.
 const SCALES: RangeInclusive<f64> = 0.25..=4.0;
 
+/// Longest measurement of each of the three trainings of [`step_cost`] for a time budget; seconds.
+pub fn measurement_limit(budget: f64) -> f64 {
+    (0.004 * budget).clamp(0.1, 1.0)
+}
+
 /// Measures the cost of a step with both branches, seconds. `now` returns the time, seconds; each of the three trainings
 /// takes at least two steps and then stops after `limit` seconds.
 ///
@@ -31,7 +36,11 @@ pub fn step_cost(device: &Device, now: &dyn Fn() -> f64, limit: f64) -> Result<S
         let seconds = step_seconds(device, size, gaussians, now, limit)?;
         *measured = (f64::from(size).powi(2), f64::from(gaussians), seconds);
     }
-    let stands = || TrainError::Invalid("time_budget_s: the clock of this machine does not advance".into());
+    let stands = || {
+        TrainError::Invalid(
+            "time_budget_s: the clock of this machine does not advance; use a preset instead".into(),
+        )
+    };
     StepCost::through(measured).ok_or_else(stands)
 }
 

@@ -17,7 +17,7 @@ mod watch;
 
 pub use cost::{ScheduleCost, StepCost};
 pub use import::{Planning, import_planned};
-pub use measure::{scaled_cost, step_cost};
+pub use measure::{measurement_limit, scaled_cost, step_cost};
 pub use pacing::{BudgetState, Pacing, PacingStart};
 pub use plan::announcement;
 pub use record::RecordedPlan;

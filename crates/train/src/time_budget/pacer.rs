@@ -20,8 +20,8 @@ const MEASURED_STEPS: u32 = 8;
 const LEAST_CHANGE: f64 = 0.01;
 /// Remaining steps per remaining position: the range that a plan may choose.
 const STRETCH: RangeInclusive<f64> = 0.05..=50.0;
-/// Largest factor by which one plan changes the remaining steps. The costs of events are only estimates before the first of their
-/// kind, and steps that a plan has left out do not come back.
+/// Largest factor by which one plan changes the number of remaining steps. Before the first event of a kind, its cost is only an
+/// estimate, and a wrong early plan skips steps that no later plan can restore.
 const LARGEST_CHANGE: f64 = 2.0;
 /// Cost of a restart relative to its prior in [`ScheduleCost`], until one was measured. Restarts of real captures took
 /// 1.3 to 1.9 times the prior.
@@ -53,6 +53,8 @@ struct Remaining {
 pub struct Pacer {
     budget: f64,
     cost: ScheduleCost,
+    /// Cost from each position to the end of the schedule; one more entry than positions.
+    left: Vec<Work>,
     rates: Rates,
     /// Time of the last call.
     last: f64,
@@ -79,7 +81,7 @@ impl Pacer {
         let rates = Rates {
             step: Rate::new(memory),
             measurement: Rate::new(memory),
-            // At most five restarts; the last one counts most.
+            // A training has at most five restarts. The newest one has the largest weight.
             restart: Rate::new(memory),
         };
         let next_plan = now + (MEASURED * budget).max(1.0);
@@ -87,6 +89,7 @@ impl Pacer {
         let (finish, reserve, may_extend) = (None, 0.0, true);
         Self {
             budget,
+            left: left_from(&cost),
             cost,
             rates,
             last,
@@ -102,6 +105,9 @@ impl Pacer {
 
     /// Records that the training has completed `step` steps at `now`.
     pub fn note(&mut self, timeline: &Timeline, step: u32, now: f64) {
+        if !now.is_finite() {
+            return;
+        }
         let seconds = (now - self.last).max(0.0);
         let before = std::mem::replace(&mut self.last_step, step);
         self.last = now;
@@ -162,7 +168,7 @@ impl Pacer {
         let is_measured = step >= self.start.1 + MEASURED_STEPS;
         let position = timeline.position(step);
         let is_late = f64::from(position) >= LAST_PLAN * f64::from(timeline.positions());
-        if now < self.next_plan || !is_measured || is_late || step >= timeline.total() {
+        if now < self.next_plan || !is_measured || is_late || !timeline.may_change(step) {
             return None;
         }
         let left = self.remaining(timeline, step)?;
@@ -180,12 +186,12 @@ impl Pacer {
             return None;
         }
         let total = step.saturating_add(steps as u32);
-        Some(PlanChange { step, position, total, max_gaussians: None, why: WHY_TIME.to_owned() })
+        Some(PlanChange { step, position, total, why: WHY_TIME.to_owned() })
     }
 
     /// Cost of the step after `step` steps and of its events.
     fn work(&self, timeline: &Timeline, step: u32) -> Work {
-        let (before, after) = (timeline.covered(step), timeline.covered(step + 1));
+        let (before, after) = (timeline.covered(step), timeline.reached(step + 1));
         let cost = &self.cost;
         Work {
             step: cost.step(timeline.position(step)),
@@ -205,14 +211,10 @@ impl Pacer {
             range if range.is_empty() => timeline.position(step) + 1,
             range => *range.start(),
         };
-        let positions = timeline.positions();
-        let cost = &self.cost;
-        let steps: f64 = (timeline.position(step)..positions).map(|p| cost.step(p)).sum();
-        let events = |p: u32| {
-            measurement * (cost.measurements_before(p) + cost.measurements_after(p + 1))
-                + restart * cost.restart(p)
-        };
-        Some(Remaining { steps: rate * steps, events: (first..positions).map(events).sum() })
+        let from = |position: u32| self.left[(position as usize).min(self.left.len() - 1)];
+        let (Work { step: steps, .. }, events) = (from(timeline.position(step)), from(first));
+        let events = measurement * events.measurement + restart * events.restart;
+        Some(Remaining { steps: rate * steps, events })
     }
 
     /// Rate of measurements, given that of steps.
@@ -227,9 +229,26 @@ impl Pacer {
     }
 }
 
-/// Cost of one step with its events.
+/// Relative cost of steps, and of the events before and after them.
+#[derive(Debug, Clone, Copy, Default)]
 struct Work {
     step: f64,
     measurement: f64,
     restart: f64,
+}
+
+/// The cost from each position to the end of the schedule.
+fn left_from(cost: &ScheduleCost) -> Vec<Work> {
+    let mut left = vec![Work::default(); cost.positions() as usize + 1];
+    for position in (0..cost.positions()).rev() {
+        let after = left[position as usize + 1];
+        left[position as usize] = Work {
+            step: after.step + cost.step(position),
+            measurement: after.measurement
+                + cost.measurements_before(position)
+                + cost.measurements_after(position + 1),
+            restart: after.restart + cost.restart(position),
+        };
+    }
+    left
 }

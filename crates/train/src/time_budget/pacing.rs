@@ -8,7 +8,7 @@ use crate::TrainError;
 use crate::eval::{EvalError, NovelViews, evenly_spaced};
 use crate::render::RenderError;
 use crate::time_budget::cost::{ScheduleCost, StepCost};
-use crate::time_budget::pacer::Pacer;
+use crate::time_budget::pacer::{Pacer, WHY_TIME};
 use crate::time_budget::plan::{announcement, mean_pixels};
 use crate::time_budget::timeline::PlanChange;
 use crate::time_budget::watch::{self, LAST_TENTH, Watch};
@@ -79,11 +79,16 @@ impl Pacing {
         };
         let watch = config.until.map(|until| Watch::new(until, config, position));
         let cost = start.cost.or(trainer.budget().map(|budget| budget.cost)).unwrap_or(StepCost::RELATIVE);
-        let pacer = config.time_budget_s.map(|budget| {
+        let mut pacer = config.time_budget_s.map(|budget| {
             let sizes: Vec<_> = capture.train.iter().map(|v| (v.image.width, v.image.height)).collect();
             let cost = ScheduleCost::new(config, mean_pixels(&sizes, config.resolution), cost);
             Pacer::new(f64::from(budget), cost, start.now, step, start.finish_steps)
         });
+        // A resumed training that has met its stop condition completes its schedule.
+        let is_completing = trainer.timeline().changes().iter().any(|change| change.why != WHY_TIME);
+        if let Some(pacer) = pacer.as_mut().filter(|_| is_completing) {
+            pacer.only_shorten();
+        }
         if pacer.is_none() && watch.is_none() {
             return Ok(None);
         }
@@ -136,16 +141,17 @@ impl Pacing {
         device: &Device,
         now: &dyn Fn() -> f64,
     ) -> Result<Option<String>, TrainError> {
-        let mut told = None;
+        let is_due = self.watch.as_ref().is_some_and(|watch| watch.is_due(trainer.position()));
+        let checks = is_due && !trainer.is_done();
         if let Some(pacer) = &mut self.pacer {
             pacer.note(trainer.timeline(), trainer.progress().step, now());
-            if let Some(change) = pacer.plan(trainer.timeline()) {
+            // The plan changes at most once after a step, and the stop condition has priority.
+            let change = if checks { None } else { pacer.plan(trainer.timeline()) };
+            if let Some(change) = change {
                 trainer.replan(change)?;
             }
         }
-        if !trainer.is_done() && self.watch.as_ref().is_some_and(|watch| watch.is_due(trainer.position())) {
-            told = self.check(trainer, device, now)?;
-        }
+        let mut told = if checks { self.check(trainer, device, now)? } else { None };
         if let Some(budget) = trainer.budget() {
             trainer.set_budget(BudgetState { used: now(), ..budget });
         }
@@ -170,6 +176,10 @@ impl Pacing {
         let Some(watch) = &mut self.watch else { return Ok(None) };
         let start = now();
         let value = measured(&self.views, watch.until().figure, trainer, device)?;
+        if !trainer.timeline().may_change(trainer.progress().step) {
+            // The training was rolled back to a step before the last change; a later check follows.
+            return Ok(None);
+        }
         // After a roll-back the position is another one.
         let position = trainer.position();
         let stop = watch.note(position, value);
@@ -203,7 +213,7 @@ fn last_tenth(step: u32, total: u32, position: u32, positions: u32, why: &str) -
     let stretch = f64::from(total - step) / f64::from(positions - position).max(1.0);
     let from = position.max((f64::from(positions) * (1.0 - LAST_TENTH)) as u32);
     let steps = (f64::from(positions - from) * stretch).round().max(1.0) as u32;
-    PlanChange { step, position: from, total: step + steps, max_gaussians: None, why: why.to_owned() }
+    PlanChange { step, position: from, total: step + steps, why: why.to_owned() }
 }
 
 /// The held-out photographs on which a stop condition is measured. Their pixels are shared with `capture`.
@@ -215,27 +225,29 @@ fn checked_views(capture: &Capture, with_rotations: bool) -> Vec<CaptureView> {
     evenly_spaced(&capture.test, Some(CHECKED_VIEWS)).into_iter().map(as_trained).collect()
 }
 
-/// The figure on `views`; `None` if the model has no such figure.
+/// The figure on `views`; `None` if the model has no such figure, or if a view could not be compared: a later check follows.
 fn measured(
     views: &[CaptureView],
     figure: UntilFigure,
     trainer: &mut Trainer,
     device: &Device,
 ) -> Result<Option<f64>, TrainError> {
-    let failed = |error: EvalError| match error {
-        EvalError::Device(error) | EvalError::Render { source: RenderError::Device(error), .. } => {
-            TrainError::Device(error)
-        }
-        error => TrainError::Invalid(format!("until: {error}")),
-    };
     let model = Arc::new(trainer.model()?);
-    let mut compared = NovelViews::new(model, Tier::Standard.into(), device).map_err(failed)?;
-    views.iter().try_for_each(|view| compared.compare(view)).map_err(failed)?;
-    let scores = compared.scores().shaded;
-    Ok(match figure {
-        UntilFigure::NovelViewPsnr => scores.psnr,
-        UntilFigure::NovelViewSsim => scores.ssim,
-    })
+    let compared = NovelViews::new(model, Tier::Standard.into(), device).and_then(|mut compared| {
+        views.iter().try_for_each(|view| compared.compare(view))?;
+        Ok(compared.scores().shaded)
+    });
+    match (compared, figure) {
+        (Ok(scores), UntilFigure::NovelViewPsnr) => Ok(scores.psnr),
+        (Ok(scores), UntilFigure::NovelViewSsim) => Ok(scores.ssim),
+        (Err(EvalError::Device(error) | EvalError::Render { source: RenderError::Device(error), .. }), _) => {
+            Err(TrainError::Device(error))
+        }
+        (Err(error), _) => {
+            tracing::warn!(%error, "until: a held-out photograph could not be compared");
+            Ok(None)
+        }
+    }
 }
 
 #[cfg(test)]

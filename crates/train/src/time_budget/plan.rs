@@ -3,10 +3,6 @@
 use crate::time_budget::cost::{ScheduleCost, StepCost};
 use relume_spec::training::{CURVE, ConfigError, TrainConfig, TrainOverrides};
 
-/// Least number of steps, as a share of the steps of the position on the curve. Captures without masks need them: on
-/// the capture fox, 900 steps at 320 px reach 18.7 dB against photographs of 960 px, 1,500 steps at 160 px 21.3 dB, both
-/// with an SSIM of 0.774.
-const LEAST_STEPS: f64 = 1.0;
 /// Most steps, as a share of the steps of the position. More steps gain little; the planner uses them only at the upper
 /// end of the curve, or if the photographs are small.
 const MOST_STEPS: f64 = 20.0;
@@ -34,8 +30,8 @@ fn seconds(config: &TrainConfig, pixels: f64, cost: StepCost, finish_steps: f64)
     (0..config.iterations).map(of).sum::<f64>() + finish_steps * cost.last_step()
 }
 
-/// `config` with the number of steps that fills `left` seconds, for photographs of `pixels` in the mean. At least
-/// 60 steps.
+/// `config` with the number of steps that fills `left` seconds, for photographs of `pixels` in the mean: at least 60 steps, at most 20
+/// times those of `config`.
 pub fn with_steps_for(
     config: &TrainConfig,
     pixels: f64,
@@ -54,9 +50,9 @@ pub fn with_steps_for(
     with(low)
 }
 
-/// The settings for `left` seconds, on photographs of these sizes: the highest position of the curve on which enough
-/// steps fit. `is_possible` excludes positions, for example those that need too much memory. Settings of the caller
-/// keep their value.
+/// The settings of the highest position of the curve whose steps fit `left` seconds, on photographs of these sizes; those of the lowest
+/// position if none fits. [`with_steps_for`] then fills the time. `is_possible` excludes positions, for example those that need too
+/// much memory. Settings of the caller keep their value.
 ///
 /// # Errors
 /// Names the setting of the caller that is not valid.
@@ -69,18 +65,13 @@ pub fn settings_for(
     is_possible: impl Fn(&TrainConfig) -> bool,
 ) -> Result<TrainConfig, ConfigError> {
     let strides = ((CURVE.end() - CURVE.start()) / STRIDE).round() as u32;
-    for stride in (0..=strides).rev() {
+    for stride in (1..=strides).rev() {
         let config = TrainConfig::at(CURVE.start() + stride as f32 * STRIDE, overrides)?;
         let pixels = mean_pixels(sizes, config.resolution);
-        let least = ((LEAST_STEPS * f64::from(config.iterations)) as u32).max(FEWEST);
-        let shortest = TrainConfig { iterations: least, ..config.clone() };
-        let fits = seconds(&shortest, pixels, cost, finish_steps) <= left;
-        let is_lowest = stride == 0;
-        if is_lowest || (fits && is_possible(&config)) {
-            return Ok(with_steps_for(&config, pixels, cost, left, finish_steps));
+        if seconds(&config, pixels, cost, finish_steps) <= left && is_possible(&config) {
+            return Ok(config);
         }
     }
-    // The loop returns at its last position.
     TrainConfig::at(*CURVE.start(), overrides)
 }
 
@@ -129,7 +120,11 @@ mod tests {
     const PHONE: [(u32, u32); 50] = [(1_080, 1_920); 50];
 
     fn planned(overrides: &TrainOverrides, sizes: &[(u32, u32)], cost: StepCost, left: f64) -> TrainConfig {
-        settings_for(overrides, sizes, cost, left, 40.0, |_| true).unwrap()
+        filled(&settings_for(overrides, sizes, cost, left, 40.0, |_| true).unwrap(), sizes, cost, left)
+    }
+
+    fn filled(config: &TrainConfig, sizes: &[(u32, u32)], cost: StepCost, left: f64) -> TrainConfig {
+        with_steps_for(config, mean_pixels(sizes, config.resolution), cost, left, 40.0)
     }
 
     #[test]
@@ -155,6 +150,13 @@ mod tests {
     }
 
     #[test]
+    fn a_plan_has_at_most_twenty_times_the_steps_of_its_position() {
+        let on_curve = TrainConfig::on_curve(3.0).iterations;
+        let days = planned(&TrainOverrides::default(), &PHONE, GPU, 7.0 * 86_400.0);
+        assert!(days.iterations > 19 * on_curve && days.iterations <= 20 * on_curve, "{}", days.iterations);
+    }
+
+    #[test]
     fn settings_of_the_caller_keep_their_value() {
         let overrides =
             TrainOverrides { resolution: Some(96), max_gaussians: Some(5_000), ..Default::default() };
@@ -170,7 +172,7 @@ mod tests {
         let small = |config: &TrainConfig| config.max_gaussians <= 3_000;
         let config = settings_for(&TrainOverrides::default(), &PHONE, GPU, 600.0, 40.0, small).unwrap();
         assert!(config.max_gaussians <= 3_000 && config.max_gaussians > 2_500, "{}", config.max_gaussians);
-        let none = settings_for(&TrainOverrides::default(), &PHONE, CPU, -5.0, 40.0, |_| true).unwrap();
+        let none = planned(&TrainOverrides::default(), &PHONE, CPU, -5.0);
         assert_eq!((none.resolution, none.iterations), (64, FEWEST), "no time is left");
     }
 

@@ -48,7 +48,8 @@ impl RecordedPlan {
                 if stored.positions != config.iterations {
                     return Err(invalid("time_plan.positions", &"must equal config.iterations"));
                 }
-                Timeline::with_changes(stored.positions, stored.changes)?
+                let timeline = Timeline::with_changes(stored.positions, stored.changes);
+                timeline.map_err(|error| invalid(FIELD, &error))?
             }
         };
         Ok(Self { config, timeline })
@@ -72,8 +73,7 @@ mod tests {
 
     fn planned() -> (TrainConfig, Timeline) {
         let config = TrainConfig { time_budget_s: Some(60), ..TrainConfig::preset(Preset::Draft) };
-        let change =
-            PlanChange { step: 10, position: 10, total: 700, max_gaussians: None, why: "time".to_owned() };
+        let change = PlanChange { step: 10, position: 10, total: 700, why: "time".to_owned() };
         let timeline = Timeline::with_changes(config.iterations, vec![change]).unwrap();
         (config, timeline)
     }
@@ -119,6 +119,7 @@ mod tests {
             assert!(error.contains(named), "{pointer}: {error}");
         }
         assert!(with("/time_plan/changes/0/total", json!(800)).is_ok(), "the control");
-        assert!(RecordedPlan::of_card(&json!({})).is_err());
+        let error = RecordedPlan::of_card(&json!({})).unwrap_err().to_string();
+        assert!(error.contains("config"), "{error}");
     }
 }

@@ -25,9 +25,6 @@ pub struct PlanChange {
     pub position: u32,
     /// Number of steps of the training by the new plan.
     pub total: u32,
-    /// Maximum number of Gaussians from here on; `None`: unchanged.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub max_gaussians: Option<u32>,
     /// Why the plan changed, for the reader of the model card.
     pub why: String,
 }
@@ -75,11 +72,15 @@ impl Timeline {
         if change.total <= change.step || change.total > MAX_STEPS {
             return invalid("total", "must be more than `step` and at most 100000000");
         }
-        if change.max_gaussians == Some(0) {
-            return invalid("max_gaussians", "must be at least 1");
-        }
         self.changes.push(change);
         Ok(())
+    }
+
+    /// Whether the plan may change after `step` steps. After a roll-back it may not, until the training has passed its last
+    /// change again.
+    pub fn may_change(&self, step: u32) -> bool {
+        let is_after_last = self.changes.last().is_none_or(|last| step > last.step);
+        self.changes.len() < MAX_CHANGES && step < self.total() && is_after_last
     }
 
     /// The changes so far, in order.
@@ -135,6 +136,14 @@ impl Timeline {
         }
     }
 
+    /// The positions that step `step` reached, by the plan with which it was taken: a change after this step does not count.
+    pub fn reached(&self, step: u32) -> std::ops::RangeInclusive<u32> {
+        match self.change_at(step).filter(|change| change.step == step) {
+            Some(change) => self.without_last_change(change).covered(step),
+            None => self.covered(step),
+        }
+    }
+
     /// The first step at `position` or beyond; the total if there is none.
     pub fn step_of(&self, position: u32) -> u32 {
         if self.changes.is_empty() {
@@ -146,11 +155,6 @@ impl Timeline {
             if self.position(middle) >= position { high = middle } else { low = middle + 1 }
         }
         low
-    }
-
-    /// The maximum number of Gaussians after `step` steps, if a change has set one.
-    pub fn max_gaussians(&self, step: u32) -> Option<u32> {
-        self.changes.iter().rev().filter(|change| change.step <= step).find_map(|change| change.max_gaussians)
     }
 
     /// The last change at or before `step`.
@@ -170,7 +174,7 @@ mod tests {
     use super::*;
 
     fn change(step: u32, position: u32, total: u32) -> PlanChange {
-        PlanChange { step, position, total, max_gaussians: None, why: "time".to_owned() }
+        PlanChange { step, position, total, why: "time".to_owned() }
     }
 
     #[test]
@@ -241,9 +245,21 @@ mod tests {
     fn a_jump_leaves_out_the_events_between() {
         let timeline = Timeline::with_changes(1_000, vec![change(400, 900, 450)]).unwrap();
         assert_eq!(timeline.covered(399), 399..=399);
-        assert_eq!(timeline.covered(400), 900..=900);
+        assert_eq!((timeline.reached(400), timeline.covered(400)), (400..=400, 900..=900));
         assert_eq!(timeline.position(450), 1_000);
         assert_eq!(timeline.total(), 450);
+    }
+
+    #[test]
+    fn a_plan_may_change_only_after_its_last_change() {
+        let timeline = Timeline::with_changes(1_000, vec![change(100, 100, 400)]).unwrap();
+        assert_eq!(
+            [99, 100, 101, 399, 400].map(|step| timeline.may_change(step)),
+            [false, false, true, true, false]
+        );
+        for step in [99, 100, 400] {
+            assert!(timeline.clone().change(change(step, 999, 500)).is_err(), "{step}");
+        }
     }
 
     #[test]
@@ -256,7 +272,6 @@ mod tests {
             (change(200, 1_000, 500), "changes[1].position"),
             (change(200, 400, 200), "changes[1].total"),
             (change(200, 400, u32::MAX), "changes[1].total"),
-            (PlanChange { max_gaussians: Some(0), ..change(200, 400, 500) }, "changes[1].max_gaussians"),
         ] {
             let mut timeline = start();
             let error = timeline.change(bad).unwrap_err().to_string();
@@ -264,13 +279,5 @@ mod tests {
             assert_eq!(timeline, start());
         }
         assert!(start().change(change(200, 400, 500)).is_ok(), "the control");
-    }
-
-    #[test]
-    fn the_last_maximum_of_gaussians_applies() {
-        let with = |most, c| PlanChange { max_gaussians: most, ..c };
-        let changes = vec![with(Some(500), change(10, 10, 90)), with(None, change(20, 30, 80))];
-        let timeline = Timeline::with_changes(100, changes).unwrap();
-        assert_eq!([9, 10, 25].map(|s| timeline.max_gaussians(s)), [None, Some(500), Some(500)]);
     }
 }

@@ -27,7 +27,7 @@ use relume_engine::{
 };
 use relume_scene::light::{EnvOperators, LightColour};
 use relume_scene::{Field, SplitLight};
-use relume_spec::training::{LabelSource, TrainConfig};
+use relume_spec::training::TrainConfig;
 
 /// Number of steps between snapshots for roll-backs.
 const SNAPSHOT_EVERY: u32 = 50;
@@ -277,10 +277,8 @@ impl Trainer {
         })
     }
 
-    /// True when the training measures visibility, for labels or for bounced light.
     fn measures(&self) -> bool {
-        let uses_probes = matches!(self.config.labels, LabelSource::Probes | LabelSource::Both);
-        uses_probes || self.config.bounces > 0
+        schedule::measures(&self.config)
     }
 
     /// Performs the work that is due before certain steps, e.g. starts materials or refreshes probes.

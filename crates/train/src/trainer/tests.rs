@@ -1,4 +1,5 @@
 use super::*;
+use crate::time_budget::{PlanChange, Timeline};
 use relume_capture::{SyntheticOptions, synthetic};
 use relume_compare::worst;
 use relume_reference::gpu_device;
@@ -184,4 +185,30 @@ fn decoded_by_nine_steps(device: &Device) -> u64 {
 fn photographs_on_a_gpu_are_decoded_once() {
     assert_eq!(decoded_by_nine_steps(gpu_device()), 3);
     assert_eq!(decoded_by_nine_steps(&Device::Cpu), 9, "the control");
+}
+
+#[test]
+fn plan_that_jumps_at_a_density_round_repeats_its_bytes() {
+    let (capture, config) = small();
+    let config = TrainConfig { iterations: 240, max_gaussians: 128, ..config };
+    assert!(schedule::density_rounds(&config).contains(64));
+    let jump = |total| PlanChange { step: 64, position: 216, total, why: "plateau".to_owned() };
+    let mut planned = Trainer::new(&capture, config.clone(), &Device::Cpu).unwrap();
+    (0..64).for_each(|_| drop(planned.step().unwrap()));
+    planned.replan(jump(88)).unwrap();
+    let repeated = |total| {
+        let timeline = Timeline::with_changes(240, vec![jump(total)]).unwrap();
+        let prepared = PreparedTraining::new(&capture, config.clone()).unwrap().with_timeline(timeline);
+        prepared.on(&Device::Cpu).unwrap()
+    };
+    let finished = |mut trainer: Trainer| {
+        while !trainer.is_done() {
+            trainer.step().unwrap();
+        }
+        trainer.model().unwrap().gaussians
+    };
+    let model = finished(planned);
+    assert!(model.len() > 64, "the round has added Gaussians");
+    assert!(finished(repeated(88)) == model);
+    assert!(finished(repeated(90)) != model, "the control: another plan");
 }
