@@ -56,6 +56,9 @@ async fn default_views_of_all_surfaces_agree() {
     let (other, far) = thumbnail(client, &model, "&azimuth=100&elevation=-85").await;
     assert!(other != default && angle < 20.0 && far > 60.0, "{angle} {far}");
     assert_eq!(thumbnail(client, &model, "").await.1, angle, "also from the cache");
+    let path = format!("/v1/models/{model}/thumbnail?size=32");
+    let head = client.request(Method::HEAD, &path).unwrap().send().await.unwrap();
+    assert_eq!(picture(head).await.1, angle, "also without the picture");
 
     let stream = client.viewer_stream(&model).await.unwrap();
     let length = u32::from_le_bytes(stream[8..12].try_into().unwrap()) as usize;

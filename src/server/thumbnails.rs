@@ -111,13 +111,12 @@ async fn thumbnail(
             outputs,
         };
         let picture = ThumbnailRequest { tenant: &caller.tenant, digest: &digest, format };
-        let mut response = found_or_rendered(&app, task, encoding, &picture).await?;
-        if let Some(views) = models::photographed_views(&app, &caller.tenant, &id).await? {
-            let direction = views.direction(orbit.azimuth_deg, orbit.elevation_deg);
-            photograph_angle::insert(response.headers_mut(), &views, direction);
-        }
-        response
+        found_or_rendered(&app, task, encoding, &picture).await?
     };
+    if let Some(views) = models::photographed_views(&app, &caller.tenant, &id).await? {
+        let direction = views.direction(orbit.azimuth_deg, orbit.elevation_deg);
+        photograph_angle::insert(response.headers_mut(), &views, direction);
+    }
     let out = response.headers_mut();
     out.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
     let scope = if caller.has_key { "private, max-age=3600" } else { "public, max-age=3600" };

@@ -1,1 +1,1 @@
-export{t as RelumeViewer}from"./assets/element-DPXIAcMS.js";
+export{t as RelumeViewer}from"./assets/element-C7iHWWv8.js";

@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
+use crate::symmetric::outer;
 use crate::{CaptureView, SceneBounds, rig};
 use relume_scene::{Camera, FRAME_MARGIN, Framing};
 
@@ -10,8 +11,7 @@ const CORNER_MARGIN: f64 = 1.15;
 /// Size of a room relative to the distance of the cameras from their middle, for cameras that look outwards. People turn round on
 /// the spot with an arm's length of movement; a room is several metres wide.
 const ROOM: f64 = 10.0;
-/// Least determinant of the summed projections across the optical axes, per axis cubed, at which they determine a point: axes that
-/// spread by a standard deviation of about 2 degrees.
+/// Least [`Axes::spread`] of optical axes that determine a point: their directions differ by about 2 degrees (standard deviation).
 const MIN_CONVERGENCE: f64 = 1e-3;
 
 /// The region of interest.
@@ -55,11 +55,13 @@ pub fn focus_region(cameras: &[&Camera]) -> (DVec3, f64) {
     (centre, positive(quantile(cameras.iter().map(radius).collect(), 0.5)))
 }
 
-/// The ball that a square picture of the photographs' area shows completely: the point that the cameras look at, and the radius around
-/// it that fills the median of these pictures with the margin [`FRAME_MARGIN`]. `None` if their optical axes are too parallel to determine a point.
+/// Centre and radius of the ball that the photographs show completely. The centre is the point that the cameras look at. The radius is
+/// the median over the cameras, each taken as a square picture of the same area, less the margin [`FRAME_MARGIN`]. `None` if the optical
+/// axes are too parallel to determine a point.
 pub fn shown_ball(cameras: &[&Camera]) -> Option<(DVec3, f64)> {
     let axes = axes_of(cameras);
-    if axes.normal.determinant() < MIN_CONVERGENCE * axes.count.powi(3) || axes.count < 2.0 {
+    // Also true without axes.
+    if !(axes.spread() >= MIN_CONVERGENCE) {
         return None;
     }
     let centre = axes.nearest_point();
@@ -118,7 +120,7 @@ pub(super) fn quantile(mut values: Vec<f64>, q: f64) -> f64 {
 
 /// Sums over optical axes, each an origin and a unit direction.
 #[derive(Default)]
-struct Axes {
+pub(super) struct Axes {
     /// Sum of the projections across the axes.
     normal: DMat3,
     /// Sum of the projected origins.
@@ -129,10 +131,10 @@ struct Axes {
 }
 
 impl Axes {
-    fn of(axes: impl Iterator<Item = (DVec3, DVec3)>) -> Self {
+    pub(super) fn of(axes: impl Iterator<Item = (DVec3, DVec3)>) -> Self {
         let mut sums = Self { normal: DMat3::ZERO, ..Self::default() };
         for (eye, d) in axes {
-            let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+            let across = DMat3::IDENTITY - outer(d);
             sums.normal += across;
             sums.moment += across * eye;
             sums.ahead += eye + d;
@@ -141,9 +143,15 @@ impl Axes {
         sums
     }
 
+    /// Determinant of the mean of `1 - d d^T` over the directions `d`: about the mean squared sine of their angles to the mean
+    /// direction. NaN without axes.
+    pub(super) fn spread(&self) -> f64 {
+        self.normal.determinant() / self.count.powi(3)
+    }
+
     /// See [`nearest_to_axes`].
-    fn nearest_point(&self) -> DVec3 {
-        if self.normal.determinant() > 1e-6 * self.count.powi(3) {
+    pub(super) fn nearest_point(&self) -> DVec3 {
+        if self.spread() > 1e-6 {
             return self.normal.inverse() * self.moment;
         }
         self.ahead / self.count.max(1.0)

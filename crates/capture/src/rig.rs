@@ -3,10 +3,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use glam::{DMat3, DMat4, DVec3};
+use glam::{DMat4, DVec3};
 
 use crate::CaptureError;
-use crate::bounds::nearest_to_axes;
+use crate::bounds::{Axes, nearest_to_axes};
 use crate::error::name_list;
 use crate::formats::ply_points::Point;
 use crate::photos::{PhotoEntry, Split};
@@ -141,28 +141,18 @@ pub(super) fn looking(poses: &[DMat4]) -> usize {
 /// How many cameras have the point at which all look in the cone of [`SEEN`], farther away than a rounding error. 0 if the axes are
 /// too parallel to determine a point.
 pub(super) fn looking_straight(poses: &[DMat4]) -> usize {
-    if are_parallel(poses) {
+    let axes = Axes::of(poses.iter().map(axis));
+    // Also true for numbers that are not finite.
+    if !(axes.spread() > PARALLEL) {
         return 0;
     }
-    let centre = nearest_to_axes(poses.iter().map(axis));
+    let centre = axes.nearest_point();
     let sees = |pose: &&DMat4| {
         let (eye, forward) = axis(pose);
         let away = centre - eye;
         away.length() > SAME * eye.length().max(1e-300) && is_in_cone(away, forward)
     };
     poses.iter().filter(sees).count()
-}
-
-/// Whether the viewing directions `d` differ by less than about 10 degrees: the determinant of the mean of `1 - d d^T` is about
-/// the mean squared sine of their angles to the mean direction.
-fn are_parallel(poses: &[DMat4]) -> bool {
-    let across = |pose: &DMat4| {
-        let (_, d) = axis(pose);
-        DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z)
-    };
-    let sum = poses.iter().map(across).fold(DMat3::ZERO, |sum, one| sum + one);
-    // Also true for numbers that are not finite.
-    !(sum.determinant() > PARALLEL * (poses.len() as f64).powi(3))
 }
 
 fn is_in_cone(towards: DVec3, forward: DVec3) -> bool {

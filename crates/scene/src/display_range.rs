@@ -1,7 +1,8 @@
 //! The range of the display values of photographs.
 
-/// The range of the display values of photographs, and of the images that are compared with them.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+/// The range of the display values of photographs, and of the images that are compared with them. The order is that of the ranges'
+/// sizes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum DisplayRange {
     /// Display-referred photographs: values in [0, 1]. Every radiance of 1 or more has the value 1.
     #[default]
@@ -34,12 +35,6 @@ impl DisplayRange {
             Self::Extended => SCENE_WHITE,
         }
     }
-
-    /// The range that contains the values of both.
-    #[must_use]
-    pub fn union(self, other: Self) -> Self {
-        if self == Self::Extended { self } else { other }
-    }
 }
 
 #[cfg(test)]
@@ -54,12 +49,5 @@ mod tests {
             assert!(difference < 1e-6, "{range:?}: {difference}");
         }
         assert!(srgb::encode_extended(0.5 * SCENE_PEAK) < SCENE_WHITE - 1.0, "the control");
-    }
-
-    #[test]
-    fn union_of_ranges_is_extended_if_one_of_them_is() {
-        let (unit, extended) = (DisplayRange::Unit, DisplayRange::Extended);
-        assert_eq!([unit.union(unit), extended.union(extended)], [unit, extended]);
-        assert_eq!([unit.union(extended), extended.union(unit)], [extended; 2]);
     }
 }

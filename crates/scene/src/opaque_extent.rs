@@ -6,7 +6,7 @@ use crate::{Field, Gaussians};
 
 /// Least opacity of a Gaussian that counts.
 const MIN_OPACITY: f64 = 0.5;
-/// Standard deviation from which a Gaussian is haze that represents the surroundings, radii of the ball.
+/// Greatest standard deviation of a Gaussian that counts, radii of the ball. Larger ones are haze, which represents the surroundings.
 const MAX_SCALE: f64 = 0.2;
 /// Least number of Gaussians that show something.
 const MIN_GAUSSIANS: usize = 16;
@@ -91,7 +91,7 @@ mod tests {
     fn extent_is_that_of_the_surface_without_haze_and_floaters() {
         let at = DVec3::new(0.3, -0.1, 0.2);
         let others =
-            [([-0.9, 0.0, 0.0], 3.0, 0.0), ([0.0, 0.9, 0.0], -3.0, -3.0), ([0.0, 0.0, -0.9], 3.0, -4.5)];
+            [([-0.9, 0.0, 0.0], 3.0, 0.0), ([0.0, 0.9, 0.0], -1.0, -2.0), ([0.0, 0.0, -0.9], 3.0, -4.5)];
         let g = sphere(at, 0.4, &others);
         let centre = opaque_centre(&g, DVec3::ZERO, 1.0).unwrap();
         assert!((centre - at).length() < 0.02, "{centre}");

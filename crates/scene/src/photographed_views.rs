@@ -6,6 +6,8 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::Framing;
+
 /// Angle from the nearest photograph above which a view shows parts that may not have been photographed, degrees.
 pub const UNSEEN_DEG: f64 = 20.0;
 /// Radius of the ball that the default view frames, relative to that of the subject.
@@ -58,7 +60,7 @@ impl PhotographedViews {
         Self::deserialize(card.get("photographed_views")?).ok()?.checked()
     }
 
-    /// The record if its values are in their ranges, else `None`.
+    /// The record if its values are in their ranges and define a view, else `None`.
     pub fn checked(self) -> Option<Self> {
         let is_positive = |value: f64| value.is_finite() && value > 0.0;
         let is_direction = |azimuth: f64, elevation: f64| azimuth.is_finite() && elevation.abs() <= 90.0;
@@ -70,7 +72,13 @@ impl PhotographedViews {
             && self.fov_deg < 180.0
             && !self.photographs.is_empty()
             && self.photographs.iter().all(|p| is_direction(p.azimuth_deg, p.elevation_deg));
-        is_valid.then_some(self)
+        (is_valid && self.framing().checked().is_some()).then_some(self)
+    }
+
+    /// The default view: the direction of the first photograph at the median elevation, with the subject in the picture.
+    pub fn framing(&self) -> Framing {
+        let (distance, fov_deg) = self.distance_and_fov();
+        Framing { eye: self.target + distance * self.direction(None, None), target: self.target, fov_deg }
     }
 
     /// Distance from the target, and field of view in degrees, at which a square picture shows the whole subject. The camera is not
@@ -166,6 +174,9 @@ mod tests {
             ("photographs", json!([])),
             ("photographs", json!([{ "name": "a", "azimuth_deg": 0.0, "elevation_deg": 100.0 }])),
             ("azimuth_deg", json!(null)),
+            ("fov_deg", json!(1e-320)),
+            ("radius", json!(1e308)),
+            ("target", json!([1e300, 0.0, 0.0])),
         ] {
             let mut damaged = card.clone();
             damaged["photographed_views"][field] = value.clone();

@@ -10,6 +10,7 @@ import { useLoaded, useTitle } from '../hooks'
 import { backgroundOf, curl, OUTPUTS, readLook, readView, requestOf, written, type Look, type View } from '../look'
 import { describe, go, link } from '../router'
 import type { RelumeViewer } from '../viewer/element'
+import { recorded } from '../viewer/photographed'
 
 /** Width and height of the frame in the curl command, pixels. */
 const COMMAND_SIZE = 1024
@@ -122,7 +123,7 @@ function Theatre(props: { model: Model; look: Look; query: URLSearchParams; ligh
         <button type="button" onClick={() => void act(keep())}>Save the frame</button>
         <button type="button" onClick={() => void act(copy(location.href, 'The link'))}>Copy the link</button>
         <button type="button" aria-pressed={turning} onClick={() => setTurning(!turning)}>{turning ? 'Stop turning' : 'Turn'}</button>
-        {(model.card as Card).photographed_views ? <button type="button" aria-pressed={marked} onClick={() => setMarked(!marked)}>Photographed directions</button> : null}
+        {recorded(model.card) ? <button type="button" aria-pressed={marked} onClick={() => setMarked(!marked)}>Photographed directions</button> : null}
         <span class="hint">Drag or arrow keys turn, wheel or + − approach</span>
       </div>
       <p class="small muted" role="status">{told}</p>
@@ -156,7 +157,6 @@ interface Card {
   steps?: number
   photographs?: number
   engine?: string
-  photographed_views?: unknown
   config?: { preset?: string }
 }
 

@@ -1,6 +1,6 @@
 import type { components } from '../api/schema'
 import { eye, type OrbitView } from './orbit'
-import type { PhotographedViews } from './photographed'
+import { recorded, type PhotographedViews } from './photographed'
 
 type RenderRequest = components['schemas']['RenderRequest']
 
@@ -56,8 +56,8 @@ export class Frames {
   /** The photographed directions of the model, or its bounding sphere if it does not record them; capture units. */
   async framing(): Promise<PhotographedViews | { centre: [number, number, number]; radius: number }> {
     const model = (await (await this.#ask(`models/${this.#model}`)).json()) as components['schemas']['ModelView']
-    const { photographed_views } = model.card as { photographed_views?: PhotographedViews | null }
-    if (photographed_views) return photographed_views
+    const views = recorded(model.card)
+    if (views) return views
     try {
       const answer = await this.#ask(`captures/${encodeURIComponent(model.capture)}`)
       const { report } = (await answer.json()) as components['schemas']['CaptureView']

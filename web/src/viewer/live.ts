@@ -5,7 +5,7 @@ import { openDevice } from './gpu/device'
 import { Painter, type Finish } from './gpu/painter'
 import { makePipelines } from './gpu/pipelines'
 import { SceneLight, SceneModel } from './gpu/scene'
-import type { OrbitView } from './orbit'
+import { degrees, type OrbitView } from './orbit'
 import { firstView, type PhotographedViews } from './photographed'
 import { readStream, type LightHeader, type ModelHeader } from './stream'
 
@@ -190,7 +190,6 @@ export class LiveView implements Engine {
 /** The initial view in the header of a stream without photographed directions. */
 function framed({ framing: { eye, target, fov_deg } }: ModelHeader): Partial<OrbitView> {
   const [x, y, z] = [eye[0] - target[0], eye[1] - target[1], eye[2] - target[2]]
-  const degrees = (radians: number) => (radians * 180) / Math.PI
   return {
     target,
     zero: 0,

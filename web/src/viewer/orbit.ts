@@ -14,15 +14,19 @@ export interface OrbitView {
   fov: number
 }
 
+export const radians = (degrees: number): number => (degrees * Math.PI) / 180
+export const degrees = (radians: number): number => (radians * 180) / Math.PI
+
+/** The unit vector with this azimuth and elevation, degrees. */
+export function direction(azimuth: number, elevation: number): [number, number, number] {
+  const [a, e] = [radians(azimuth), radians(elevation)]
+  return [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)]
+}
+
 /** The position of an orbiting camera. */
 export function eye({ azimuth, zero, elevation, distance, target }: OrbitView): [number, number, number] {
-  const [a, e] = [((zero + azimuth) * Math.PI) / 180, (elevation * Math.PI) / 180]
-  const [x, y, z] = target
-  return [
-    x + distance * Math.cos(e) * Math.cos(a),
-    y + distance * Math.cos(e) * Math.sin(a),
-    z + distance * Math.sin(e),
-  ]
+  const [x, y, z] = direction(zero + azimuth, elevation)
+  return [target[0] + distance * x, target[1] + distance * y, target[2] + distance * z]
 }
 
 /** Degrees per key press. */

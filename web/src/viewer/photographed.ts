@@ -1,4 +1,4 @@
-import type { OrbitView } from './orbit'
+import { degrees, direction, radians, type OrbitView } from './orbit'
 
 /** The directions from which a model was photographed: `photographed_views` of its card. Capture units, degrees. */
 export interface PhotographedViews {
@@ -18,8 +18,17 @@ const UNSEEN = 20
 const MARGIN = 1.1
 const LEAST_FOV = 0.1
 
-const radians = (degrees: number) => (degrees * Math.PI) / 180
-const degrees = (radians: number) => (radians * 180) / Math.PI
+/** The record of a model card if it defines a view, by the rule of the server. */
+export function recorded(card: unknown): PhotographedViews | undefined {
+  const views = (card as { photographed_views?: PhotographedViews | null } | null)?.photographed_views
+  if (!views || !Array.isArray(views.target) || !Array.isArray(views.photographs)) return undefined
+  const isDirection = (azimuth: number, elevation: number) => Number.isFinite(azimuth) && Math.abs(elevation) <= 90
+  const isPlaced = views.target.length === 3 && views.target.every(Number.isFinite) && views.radius > 0 && views.distance > 0
+  const isSeen = views.fov_deg > 0 && views.fov_deg < 180 && isDirection(views.azimuth_deg, views.elevation_deg)
+  const isPhotograph = (p: PhotographedViews['photographs'][number] | null) =>
+    typeof p?.name === 'string' && isDirection(p.azimuth_deg, p.elevation_deg)
+  return isPlaced && isSeen && views.photographs.length > 0 && views.photographs.every(isPhotograph) ? views : undefined
+}
 
 /** The default view: that of the first photograph at the median elevation, with the subject in the frame. */
 export function firstView(views: PhotographedViews): Partial<OrbitView> {
@@ -47,11 +56,6 @@ export function nearest({ photographs }: PhotographedViews, view: OrbitView): { 
     if (cosine > best.cosine) best = { cosine, name }
   }
   return { angle: degrees(Math.acos(Math.min(1, best.cosine))), name: best.name }
-}
-
-function direction(azimuth: number, elevation: number): [number, number, number] {
-  const [a, e] = [radians(azimuth), radians(elevation)]
-  return [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)]
 }
 
 /** A map of the sphere of directions: straight up in the middle, the horizon half way, the first photograph at the bottom. */

@@ -175,12 +175,13 @@ pub(super) fn copies(photos: &[PhotoStats]) -> Option<Finding> {
     (!names.is_empty()).then_some(Finding { kind: FindingKind::of_fault(is_problem), text, photos: names })
 }
 
-/// A hint that names the scene-referred photographs.
+/// A note that names the scene-referred photographs.
 fn scene_referred(photos: &[PhotoStats]) -> Option<Finding> {
     let what = format!(
         "contain linear light brighter than white: they are trained on without clipping, up to {SCENE_PEAK} times white"
     );
-    about(photos, &what, |photo| photo.range == DisplayRange::Extended).map(hint)
+    about(photos, &what, |photo| photo.range == DisplayRange::Extended)
+        .map(|finding| Finding { kind: FindingKind::Note, ..finding })
 }
 
 /// A finding for each colour profile that is converted or cannot be used.

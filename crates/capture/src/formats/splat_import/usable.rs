@@ -51,7 +51,7 @@ impl UsableRows {
             return bad(
                 format!("vertex {first}"),
                 format!(
-                    "has a value that is not finite or too large, as {broken} of {total} splats; export the scene again"
+                    "has a value that is infinite, not a number or above 1e12, as {broken} of {total} splats; export the scene again"
                 ),
             );
         }
@@ -83,7 +83,7 @@ impl UsableRows {
         let mut notes = Vec::new();
         if broken > 0 {
             notes.push(format!(
-                "{broken} of {total} splats were left out, because a value is not finite or too large; the first is vertex {first}"
+                "{broken} of {total} splats were left out, because a value is infinite, not a number or above 1e12; the first is vertex {first}"
             ));
         }
         if self.invisible > 0 {

@@ -54,7 +54,7 @@ impl Extent {
             largest.enumerate().filter(|(_, size)| *size > limit).map(|(i, _)| i).collect();
         let first = row_of(*huge.first()?)?;
         Some(format!(
-            "{} of {} splats are larger than {HUGE} times the radius of the model (standard deviations above {limit:.3} units), and may \
+            "{} of {} splats are larger than {HUGE} times the radius of the model (standard deviations above {limit:.2e} units), and may \
              cover the whole picture; if they are errors, remove them in the program that wrote the file; the first is vertex {first}",
             huge.len(),
             gaussians.len()
