@@ -12,6 +12,9 @@ use crate::Framing;
 pub const UNSEEN_DEG: f64 = 20.0;
 /// Radius of the ball that the default view frames, relative to that of the subject.
 pub const FRAME_MARGIN: f64 = 1.1;
+/// Largest distance of the target from the origin, relative to that of the cameras. Farther away, double precision does not
+/// resolve the view.
+const MAX_OFFSET: f64 = 1e9;
 /// Least field of view of the default view, relative to that of the photographs.
 const MIN_FOV_SHARE: f64 = 0.1;
 
@@ -67,6 +70,7 @@ impl PhotographedViews {
         let is_valid = self.target.is_finite()
             && is_positive(self.radius)
             && is_positive(self.distance)
+            && self.target.length() <= MAX_OFFSET * self.distance
             && is_direction(self.azimuth_deg, self.elevation_deg)
             && self.fov_deg > 0.0
             && self.fov_deg < 180.0
