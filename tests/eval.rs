@@ -103,6 +103,7 @@ fn drawn_by(model: &Arc<Model>) -> Capture {
         bounds: SceneBounds { centre: DVec3::ZERO, radius: 1.0 },
         has_alpha: true,
         lights: [("lamp".to_owned(), lamp)].into(),
+        turntable: None,
         measured_light: None,
         grey_card: None,
         up: Default::default(),

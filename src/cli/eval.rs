@@ -12,8 +12,9 @@ use crate::cli::sheet::{sheet_format, write_sheet};
 use crate::cli::{input, output};
 use relume_capture::{Capture, ImportLimits, ImportOptions, Up, import};
 use relume_engine::{Device, DeviceChoice};
+use relume_spec::training::TurntableCapture;
 use relume_train::eval::{CaptureFacts, EvalOptions, Lpips, SheetRows, contact_sheet, evaluate};
-use relume_train::up_of_card;
+use relume_train::{turntable_of_card, up_of_card};
 
 /// Compare a model with the held-out views and the ground truth of a capture.
 #[derive(Debug, clap::Args)]
@@ -63,7 +64,7 @@ pub fn run(args: &EvalArgs) -> CommandResult {
     let model = Arc::new(input::read_model(&args.model)?);
     let lpips = args.lpips.as_deref().map(Lpips::read).transpose()?;
     let up = up_of_card(&model.card)?;
-    let capture = load_capture(args, up)?;
+    let capture = load_capture(args, up, turntable_of_card(&model.card)?)?;
 
     let bar = progress_bar();
     let progress = |done: usize, total: usize| {
@@ -102,8 +103,8 @@ pub fn run(args: &EvalArgs) -> CommandResult {
 }
 
 /// The capture in the world of the model.
-fn load_capture(args: &EvalArgs, up: Up) -> CommandResult<Capture> {
-    let options = ImportOptions { max_side: args.resolution, up, ..ImportOptions::default() };
+fn load_capture(args: &EvalArgs, up: Up, turntable: TurntableCapture) -> CommandResult<Capture> {
+    let options = ImportOptions { max_side: args.resolution, up, turntable, ..ImportOptions::default() };
     let mut capture = import(&args.capture, &options)?;
     if let Some(file) = &args.light_rotations {
         capture.set_light_rotations(&read_rotations(file)?)?;

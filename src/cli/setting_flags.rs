@@ -4,8 +4,16 @@ use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 use relume_spec::training::{Setting, settings};
 
 /// Settings whose flags `relume train` declares itself, or that have none: `light_rotations` is set by `--set`.
-const ELSEWHERE: [&str; 7] =
-    ["iterations", "resolution", "seed", "method", "white_balance", "crop", "light_rotations"];
+const ELSEWHERE: [&str; 8] = [
+    "iterations",
+    "resolution",
+    "seed",
+    "method",
+    "white_balance",
+    "crop",
+    "light_rotations",
+    "turntable_capture",
+];
 
 /// Settings given by flags, as pairs of `--set`.
 #[derive(Debug, Clone, Default)]

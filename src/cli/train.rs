@@ -21,7 +21,7 @@ use relume_capture::{Capture, ImportLimits, Up};
 use relume_engine::{Device, DeviceChoice};
 use relume_spec::training::{
     Crop, GreyCard, KnownLight, LightExposure, Method, Preset, TimeBudget, TrainConfig, TrainOverrides,
-    Until, WhiteBalance,
+    TurntableCapture, Until, WhiteBalance,
 };
 use relume_train::time_budget::{RecordedPlan, Timeline};
 use relume_train::{
@@ -53,7 +53,7 @@ pub(super) struct TrainArgs {
     /// Repeat the training of a model whose steps were planned on the way, without a clock: a model file, or its card as `.json`. It
     /// contains all settings.
     #[arg(long, value_name = "FILE", conflicts_with_all = [
-        "preset", "time", "until", "method", "resolution", "iterations", "seed", "light", "light_rotations", "white_balance",
+        "preset", "time", "until", "method", "resolution", "iterations", "seed", "light", "light_rotations", "turntable_capture", "white_balance",
         "grey_card", "crop", "set",
     ])]
     plan: Option<PathBuf>,
@@ -85,6 +85,11 @@ pub(super) struct TrainArgs {
     /// counter-clockwise about the capture's +Z.
     #[arg(long = "light-rotation-file", alias = "light-rotations", value_name = "FILE")]
     light_rotations: Option<PathBuf>,
+    /// The subject turned in front of a still camera, so that the light rotates with the camera: `yes` (also without a value), `no`
+    /// or `auto`, the default: yes if the photographs have masks and the background stands still while the cameras turn.
+    #[arg(long, value_name = "auto|yes|no", value_parser = named::<TurntableCapture>, num_args = 0..=1, require_equals = true,
+        default_missing_value = "yes")]
+    turntable_capture: Option<TurntableCapture>,
     /// Colour of the light in the photographs: `auto` (estimated), `neutral` (white objects are white in the photographs), `daylight`
     /// (the light of an open sky), or the colour temperature in kelvin for photographs that were balanced for daylight.
     #[arg(long)]
@@ -175,7 +180,7 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
     for warning in &capture.warnings {
         progress.warning(warning);
     }
-    capture.up.note.iter().for_each(|note| progress.status(note));
+    capture.facts().for_each(|fact| progress.status(fact));
     let (trained, held_out) = (capture.train.len(), capture.test.len());
     progress.status(&format!("{}: {trained} images to train on, {held_out} held out", capture.layout));
     let need = MemoryEstimate::of(&PhotographSizes::of(&capture), &config, budget.on_device);
@@ -259,6 +264,9 @@ fn all_overrides(args: &TrainArgs) -> CommandResult<TrainOverrides> {
     }
     if let Some(file) = &args.light_rotations {
         overrides.light_rotation_per_photo = Some(read_rotations(file)?);
+    }
+    if args.turntable_capture.is_some() {
+        overrides.turntable_capture = args.turntable_capture;
     }
     if args.white_balance.is_some() {
         overrides.white_balance = args.white_balance;

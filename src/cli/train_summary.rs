@@ -63,6 +63,7 @@ impl TrainedCapture {
             points: Vec::new(),
             bounds: capture.bounds,
             up: capture.up.clone(),
+            turntable: None,
             has_alpha: capture.has_alpha,
             lights: capture.lights.clone(),
             measured_light: None,

@@ -155,6 +155,7 @@ fn capture(side: u32) -> Capture {
         bounds: SceneBounds { centre: DVec3::ZERO, radius: 1.0 },
         has_alpha: true,
         lights: Default::default(),
+        turntable: None,
         measured_light: None,
         grey_card: None,
         up: Default::default(),

@@ -12,6 +12,7 @@ use crate::photos::{self, LoadedView, PhotoEntry, Split};
 use crate::{
     Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, PhotoCamera, Up, WorldUp, blender,
     bounds, cameras, colmap, identical, images, llff, masks, nerfstudio, polycam, rig, selection, truth,
+    turntable,
 };
 use relume_spec::{CaptureReport, NoteKind, PhotographNote};
 
@@ -135,7 +136,11 @@ impl UndecodedCapture {
         let views: Vec<_> = views.into_iter().map(|loaded| loaded.view).collect();
         warnings.extend(masks::check(&views)?);
         warnings.extend(identical::check(&views, &splits(&photos)));
-        let (train, test) = split(&photos, views);
+        let (mut train, mut test) = split(&photos, views);
+        let turntable = turntable::derive_rotations(
+            &mut train.iter_mut().chain(&mut test).collect::<Vec<_>>(),
+            options.turntable,
+        )?;
         let has_alpha = train.iter().any(|v| !v.image.is_opaque());
         let bounds = bounds::bounds(&train, &points, has_alpha);
         let lights = truth::lights(&source, &test, &mut warnings)?;
@@ -151,6 +156,7 @@ impl UndecodedCapture {
             measured_light,
             grey_card,
             up,
+            turntable,
             warnings,
         };
         Ok((capture, source))
@@ -280,7 +286,12 @@ fn split(photos: &[PhotoEntry], views: Vec<CaptureView>) -> (Vec<CaptureView>, V
 }
 
 impl Capture {
-    /// A summary of the capture. Of the notes it has only that on the up direction.
+    /// What the importer derived from the evidence of the capture, in words: the up direction, and the rotations of the light.
+    pub fn facts(&self) -> impl Iterator<Item = &String> {
+        self.up.note.iter().chain(&self.turntable)
+    }
+
+    /// A summary of the capture. Its only notes are [`Self::facts`].
     pub fn report(&self) -> CaptureReport {
         let (width, height) = self.train.first().map_or((0, 0), |v| (v.image.width, v.image.height));
         CaptureReport {
@@ -297,9 +308,7 @@ impl Capture {
             radius: self.bounds.radius,
             warnings: self.warnings.clone(),
             notes: self
-                .up
-                .note
-                .iter()
+                .facts()
                 .map(|text| PhotographNote {
                     text: text.clone(),
                     kind: NoteKind::Fact,

@@ -45,6 +45,7 @@ mod synthetic;
 mod text;
 mod transforms;
 mod truth;
+mod turntable;
 mod types;
 mod undistort;
 mod up_direction;

@@ -2,6 +2,7 @@
 
 use crate::Up;
 use crate::formats::image_file;
+use relume_spec::training::TurntableCapture;
 
 /// Bounds on what an import accepts, since archives are untrusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,11 +56,19 @@ pub struct ImportOptions {
     pub load_truth: bool,
     /// Direction in the files that is up.
     pub up: Up,
+    /// Whether the rotations of the light are derived from the poses.
+    pub turntable: TurntableCapture,
 }
 
 impl Default for ImportOptions {
     fn default() -> Self {
-        Self { max_side: None, limits: ImportLimits::default(), load_truth: true, up: Up::AUTO }
+        Self {
+            max_side: None,
+            limits: ImportLimits::default(),
+            load_truth: true,
+            up: Up::AUTO,
+            turntable: TurntableCapture::Auto,
+        }
     }
 }
 

@@ -73,6 +73,8 @@ pub struct Capture {
     pub grey_card: Option<[f32; 3]>,
     /// The direction in the files that became +Z.
     pub up: WorldUp,
+    /// Note that the importer derived the rotations of the light from the poses; `None` if it did not.
+    pub turntable: Option<String>,
     /// Problems that did not stop the import, e.g. missing images by name.
     pub warnings: Vec<String>,
 }

@@ -5,7 +5,9 @@ use std::path::Path;
 use crate::TrainError;
 use crate::memory::{self, MemoryBudget, PhotographSizes};
 use relume_capture::{Capture, ImportLimits, ImportOptions, UndecodedCapture, Up};
-use relume_spec::training::TrainConfig;
+use relume_spec::training::{TrainConfig, TurntableCapture};
+use serde::Deserialize;
+use serde_json::Value;
 
 /// A capture at the resolution of the training, without ground truth, so that no memory holds unused pixels. It has
 /// the light rotations and the grey card's colour that `config` states.
@@ -36,7 +38,13 @@ pub fn import_in_world(
     limits: &ImportLimits,
     budget: MemoryBudget,
 ) -> Result<Capture, TrainError> {
-    let options = ImportOptions { max_side: Some(config.resolution), limits: *limits, load_truth: false, up };
+    let options = ImportOptions {
+        max_side: Some(config.resolution),
+        limits: *limits,
+        load_truth: false,
+        up,
+        turntable: config.turntable_capture,
+    };
     let mut undecoded = UndecodedCapture::open(path, &options)?;
     memory::check(&PhotographSizes::undecoded(&mut undecoded)?, config, budget)?;
     let mut capture = undecoded.decode()?;
@@ -48,6 +56,20 @@ pub fn import_in_world(
     Ok(capture)
 }
 
+/// With which choice a capture is imported for a comparison with a model of this card, so that its light rotates as in the training.
+///
+/// # Errors
+/// [`TrainError::Invalid`] if the card has another value.
+pub fn turntable_of_card(card: &Value) -> Result<TurntableCapture, TrainError> {
+    let setting = card.pointer("/config/turntable_capture").map(TurntableCapture::deserialize).transpose();
+    let setting = setting.map_err(|error| {
+        TrainError::Invalid(format!(
+            "the model card: config.turntable_capture: {error}; train the model again"
+        ))
+    })?;
+    Ok(setting.unwrap_or(TurntableCapture::No))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -56,6 +78,7 @@ mod tests {
     use relume_engine::Device;
     use relume_scene::{BitDepth, PackedImage, srgb};
     use relume_spec::training::{GreyCard, Preset, TrainOverrides, WhiteBalance};
+    use serde_json::json;
 
     const CARD: [f32; 3] = [0.5, 0.4, 0.2];
 
@@ -138,6 +161,31 @@ mod tests {
             let Err(TrainError::Capture(error)) = imported else { panic!("must be refused: {imported:?}") };
             assert_eq!((error.file(), error.field()), (Some(photo), Some(field)), "{error}");
         }
+    }
+
+    #[test]
+    fn rotations_of_the_light_are_derived_for_a_stated_turntable() {
+        let (file, config) = (capture_with_a_card(), config("train_001/rgba.png", 20));
+        let rotations = |choice: TurntableCapture| {
+            let config = TrainConfig { turntable_capture: choice, ..config.clone() };
+            let limits = ImportLimits::default();
+            let capture =
+                import_for_training(file.path(), &config, &limits, MemoryBudget::unbounded()).unwrap();
+            let views = capture.train.iter().chain(&capture.test);
+            (views.filter(|view| view.light_rotation_deg != 0.0).count(), capture.facts().count())
+        };
+        assert_eq!(rotations(TurntableCapture::Yes), (3, 1), "the first photograph defines the zero");
+        assert_eq!(rotations(TurntableCapture::Auto), (0, 0), "a plain background is no evidence");
+    }
+
+    #[test]
+    fn comparison_uses_the_choice_of_the_training() {
+        let of = |card: Value| turntable_of_card(&card);
+        let card = json!({ "config": config("a", 0) });
+        assert_eq!(of(card).unwrap(), TurntableCapture::Auto);
+        assert_eq!(of(json!({ "config": {} })).unwrap(), TurntableCapture::No, "a model of an older version");
+        let error = of(json!({ "config": { "turntable_capture": 3 } })).unwrap_err().to_string();
+        assert!(error.contains("config.turntable_capture"), "{error}");
     }
 
     #[test]

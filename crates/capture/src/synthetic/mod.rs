@@ -112,6 +112,7 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
         measured_light: None,
         grey_card: None,
         up: WorldUp::default(),
+        turntable: None,
         warnings: Vec::new(),
     })
 }

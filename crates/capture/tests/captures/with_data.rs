@@ -8,6 +8,7 @@ use relume_capture::formats::environment;
 use relume_capture::{Capture, Distortion, ImportOptions, UndecodedCapture, Up, WorldUp, import};
 
 use relume_fixtures::data;
+use relume_spec::training::TurntableCapture;
 
 fn small(path: PathBuf, side: u32) -> Capture {
     import(&path, &ImportOptions { max_side: Some(side), ..ImportOptions::default() }).unwrap()
@@ -152,6 +153,24 @@ fn fox_hangs_on_a_vertical_wall() {
     let (found, stated) = (of(Up::AUTO), of(Up::MEAN));
     assert!(lean(&found) < 2.0 && found.note.as_ref().unwrap().contains("held level"), "{found:?}");
     assert!(lean(&stated) > 4.0, "the control: {stated:?}");
+}
+
+#[test]
+#[ignore = "needs RELUME_TEST_DATA (see CONTRIBUTING.md)"]
+fn head_on_a_turntable_is_recognised() {
+    // The azimuths of the cameras about the axis of the stand, from the poses alone: eigenvector of the relative rotations.
+    let expected = [0.0, 3.8, 8.0, 12.8, 17.1, 20.7, 25.3, 30.0, 32.7, 38.7];
+    let mut options = ImportOptions { max_side: Some(160), ..ImportOptions::default() };
+    let capture = import(&data("captures/head66_llff"), &options).unwrap();
+    assert!(capture.turntable.as_ref().is_some_and(|note| note.contains("stands still")), "{capture:?}");
+    let mut views: Vec<_> = capture.train.iter().chain(&capture.test).collect();
+    views.sort_by(|a, b| a.name.cmp(&b.name));
+    for (view, expected) in views.iter().zip(expected) {
+        let difference = (view.light_rotation_deg - expected).abs();
+        assert!(difference < 1.5, "{}: {}", view.name, view.light_rotation_deg);
+    }
+    options.turntable = TurntableCapture::No;
+    assert_eq!(import(&data("captures/head66_llff"), &options).unwrap().turntable, None, "the control");
 }
 
 /// COLMAP's measurements per image name: the lens `[f, cx, cy, k]` and observations `(x, y, index of point)`.

@@ -69,6 +69,20 @@ impl UpAxis {
     }
 }
 
+/// Whether the subject of a capture turned in front of a still camera, as on a turntable, so that the light of the photographs
+/// rotates with the camera. `auto`: by evidence. `yes`, `no`: stated by the caller.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TurntableCapture {
+    /// Yes if the background stands still while the cameras turn.
+    #[default]
+    Auto,
+    /// The light rotates with the camera.
+    Yes,
+    /// The light rotates only as the files state.
+    No,
+}
+
 /// Complexity of the model. `auto`: the parts that measurements show the scene needs. `full`: all configured
 /// parts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]

@@ -23,7 +23,7 @@ use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 
-pub use choices::{Complexity, ComplexitySetting, LabelSource, Preset, UpAxis};
+pub use choices::{Complexity, ComplexitySetting, LabelSource, Preset, TurntableCapture, UpAxis};
 pub use crop::{Crop, NamedCrop};
 pub use curve::CURVE;
 pub use error::ConfigError;
@@ -242,6 +242,11 @@ settings! {
     /// Uses the rotations of the light that the capture states. false: trains with a fixed light.
     #[serde(default = "used")]
     light_rotations: bool = true;
+    /// Subject that turned in front of a still camera: `auto`, `yes` or `no`. `yes`: the rotations of the light are derived
+    /// from the poses. `auto`: derives them if the photographs have masks and the background stands still while the
+    /// cameras turn.
+    #[serde(default = "still")]
+    turntable_capture: TurntableCapture = TurntableCapture::Auto;
     /// Matches photographs with different exposures or white balances, such as those of phones, to a common
     /// one. No effect on captures with a rotating light.
     #[serde(default)]
@@ -281,6 +286,11 @@ settings! {
 /// Use of light rotations in files without the field.
 fn used() -> bool {
     true
+}
+
+/// Turntable in files without the field.
+fn still() -> TurntableCapture {
+    TurntableCapture::No
 }
 
 /// Metalness and sheen in files without the field.
@@ -373,6 +383,13 @@ impl TrainConfig {
         config.grey_card = overrides.grey_card.clone();
         if config.grey_card.is_some() && overrides.white_balance.is_some() {
             return Err(ConfigError::new("grey_card", "must not be combined with white_balance"));
+        }
+        if !config.light_rotation_per_photo.is_empty() {
+            if config.turntable_capture == TurntableCapture::Yes {
+                let reason = "`yes` must not be combined with light_rotation_per_photo";
+                return Err(ConfigError::new("turntable_capture", reason));
+            }
+            config.turntable_capture = TurntableCapture::No;
         }
         (config.time_budget_s, config.until) = (overrides.time_budget_s, overrides.until);
         if config.time_budget_s.is_some() && overrides.iterations.is_some() {

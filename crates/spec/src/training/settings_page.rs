@@ -108,6 +108,7 @@ fn another(setting: &Setting) -> Value {
         ("labels", _) => "both".into(),
         ("white_balance", _) => "neutral".into(),
         ("crop" | "complexity", _) => "auto".into(),
+        ("turntable_capture", _) => "yes".into(),
         ("up", _) => "-y".into(),
         ("method", _) => "3dgs".into(),
         ("shading.visibility" | "shading.indirect", _) => "off".into(),

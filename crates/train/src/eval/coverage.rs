@@ -101,6 +101,7 @@ mod tests {
             points: Vec::new(),
             bounds,
             up: Default::default(),
+            turntable: None,
             has_alpha: false,
             lights: Default::default(),
             measured_light: None,

@@ -8,6 +8,7 @@ use crate::eval::evaluate::{evenly_spaced, shows_object};
 use crate::eval::report::{Report, ViewScore};
 use relume_capture::{Capture, CaptureError, CaptureView, ImportLimits, ImportOptions, UndecodedCapture, Up};
 use relume_scene::EnvMap;
+use relume_spec::training::TurntableCapture;
 
 /// Number of evenly spaced views on a sheet. The weakest view is one more.
 const ROWS: usize = 3;
@@ -59,7 +60,9 @@ impl SheetRows {
     /// # Errors
     /// The error of the import. The views are then unchanged.
     pub fn read_again(&mut self, path: &Path, up: Up, limits: &ImportLimits) -> Result<(), CaptureError> {
-        let options = ImportOptions { max_side: Some(CELL), limits: *limits, load_truth: true, up };
+        let turntable = TurntableCapture::No;
+        let options =
+            ImportOptions { max_side: Some(CELL), limits: *limits, load_truth: true, up, turntable };
         let mut undecoded = UndecodedCapture::open(path, &options)?;
         let names: BTreeSet<&str> = self.rows.iter().map(|(_, view)| view.name.as_str()).collect();
         undecoded.retain(&names)?;

@@ -41,7 +41,7 @@ pub fn import_planned(
 ) -> Result<(Capture, TrainConfig), TrainError> {
     let Planning { overrides, cost, finish_steps, now } = *planning;
     let budget = overrides.time_budget_s.map_or(f64::INFINITY, f64::from);
-    let options = ImportOptions { max_side: None, limits: *limits, load_truth: false, up };
+    let options = ImportOptions { limits: *limits, load_truth: false, up, ..ImportOptions::default() };
     let undecoded = UndecodedCapture::open(path, &options)?;
     let (sizes, held_out) = (undecoded.sizes().to_vec(), undecoded.held_out());
     drop(undecoded);
