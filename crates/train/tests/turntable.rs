@@ -142,6 +142,19 @@ fn rotating_light_trains_equally_on_gpu_and_cpu() {
 }
 
 #[test]
+fn checkpoint_of_a_still_light_does_not_resume_with_rotations() {
+    let overrides = TrainOverrides { warm_up: Some(0.0), ..overrides() };
+    let still = photographs(lamp());
+    let mut trainer = trainer(&still, &overrides, &Device::Cpu);
+    trainer.step().unwrap();
+    let (config, checkpoint) = (trainer.config().clone(), trainer.checkpoint().unwrap());
+    let resume = |capture: &Capture| Trainer::resume(capture, config.clone(), &checkpoint, &Device::Cpu);
+    assert!(resume(&still).is_ok(), "the control");
+    let Err(TrainError::Checkpoint(why)) = resume(turntable()) else { panic!("must be refused") };
+    assert!(why.contains("light rotations"), "{why}");
+}
+
+#[test]
 fn training_with_rotating_light_resumes_with_the_same_bytes() {
     let form = TrainOverrides { iterations: Some(60), probe_every: Some(13), ..overrides() };
     let means = |mut trainer: Trainer| {

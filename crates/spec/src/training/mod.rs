@@ -247,7 +247,7 @@ settings! {
     /// Subject that turned in front of a still camera: `auto`, `yes` or `no`. `yes`: the rotations of the light are derived
     /// from the poses. `auto`: derives them if the photographs have masks and the background stands still while the
     /// cameras turn.
-    #[serde(default = "still")]
+    #[serde(default)]
     turntable_capture: TurntableCapture = TurntableCapture::Auto;
     /// Matches photographs with different exposures or white balances, such as those of phones, to a common
     /// one. No effect on captures with a rotating light.
@@ -288,11 +288,6 @@ settings! {
 /// Use of light rotations in files without the field.
 fn used() -> bool {
     true
-}
-
-/// Turntable in files without the field.
-fn still() -> TurntableCapture {
-    TurntableCapture::No
 }
 
 /// Metalness and sheen in files without the field.

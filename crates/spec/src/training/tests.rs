@@ -74,11 +74,24 @@ fn config_round_trips_and_older_files_get_default_settings() {
     let config = TrainConfig::new(Preset::High, &overrides).unwrap();
     let mut json = serde_json::to_value(&config).unwrap();
     assert_eq!(serde_json::from_value::<TrainConfig>(json.clone()).unwrap(), config);
-    let newer = ["albedo_rounds", "metalness", "sheen", "complexity", "forced", "light", "light_rotations"];
+    let newer = [
+        "albedo_rounds",
+        "metalness",
+        "sheen",
+        "complexity",
+        "forced",
+        "light",
+        "light_rotations",
+        "turntable_capture",
+    ];
     newer.iter().for_each(|name| drop(json.as_object_mut().unwrap().remove(*name)));
     let old: TrainConfig = serde_json::from_value(json.clone()).unwrap();
     assert_eq!((old.albedo_rounds, old.metalness, old.sheen, old.light_rotations), (0, true, true, true));
     assert_eq!((old.complexity, old.forced, old.light), (Complexity::Full, Vec::new(), None));
+    assert_eq!(
+        old.turntable_capture, config.turntable_capture,
+        "its checkpoints resume with the settings of their caller"
+    );
     json.as_object_mut().unwrap().remove("seed");
     assert!(serde_json::from_value::<TrainConfig>(json).is_err(), "the control: every file has a seed");
 }

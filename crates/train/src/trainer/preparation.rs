@@ -56,6 +56,14 @@ impl PreparedTraining {
                 "order: the checkpoint has another number of photographs".into(),
             ));
         }
+        let gathered = state.model.gaussians.len() * data.rotations.blocks.len();
+        if !state.gathered.is_empty() && state.gathered.len() != gathered {
+            return Err(TrainError::Checkpoint(
+                "gathered: the checkpoint has another number of light rotations than the capture: set turntable_capture and \
+                 the rotations as in its training, or start again without the checkpoint"
+                    .into(),
+            ));
+        }
         if let Some(cut) = &schedule.cut {
             cut.apply(&mut data, state.model.shading);
         }
