@@ -11,8 +11,8 @@ impl Trainer {
     pub(super) fn refine(&mut self) -> Result<(), TrainError> {
         let step = self.schedule.step;
         let rounds = schedule::density_rounds(&self.config);
-        let reached = self.schedule.timeline.reached(step);
-        let Some(position) = reached.clone().rfind(|p| rounds.contains(*p)) else { return Ok(()) };
+        let mut reached = self.schedule.timeline.reached(step);
+        let Some(position) = reached.rfind(|p| rounds.contains(*p)) else { return Ok(()) };
         self.wait_for_steps()?;
         if self.tracker.non_finite_step.is_some() {
             return Ok(());
@@ -27,9 +27,6 @@ impl Trainer {
         let _span = tracing::info_span!("density", budget).entered();
         let signals = self.engine.density_signals()?;
         self.engine.rebuild(&density::plan(&signals, budget, centres.as_deref()))?;
-        if reached.clone().any(|p| rounds.contains(p) && rounds.is_clearing(p)) {
-            self.drop_unseen()?;
-        }
         if position > self.config.warm_up_steps() && self.measures() {
             // New Gaussians need their own labels and gathered light.
             self.measure(1)?;
