@@ -32,7 +32,7 @@ fn rate(point: DVec3, cameras: &[&Camera]) -> f32 {
 }
 
 /// True if the image of a point in camera coordinates contains it.
-pub(crate) fn is_in_image(camera: &Camera, p: DVec3) -> bool {
+fn is_in_image(camera: &Camera, p: DVec3) -> bool {
     let inside = |at: f64, size: u32| (0.0..=f64::from(size)).contains(&at);
     p.z > f64::from(NEAR)
         && inside(camera.fx * p.x / p.z + camera.cx, camera.width)

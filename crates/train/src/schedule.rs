@@ -77,17 +77,6 @@ impl DensityRounds {
     }
 }
 
-/// The position at which a training drops the Gaussians that no photograph shows: after the last measurement of visibility and
-/// the last restart of albedo. Before, such Gaussians close the back of surfaces; without them, a measurement finds thin
-/// surfaces open on both sides, and normals and lights are lost. The remaining steps close the gaps.
-pub fn clearing(config: &TrainConfig) -> u32 {
-    let first = config.warm_up_steps();
-    let steps = config.iterations.saturating_sub(first);
-    let measured = steps.saturating_sub(1) / config.probe_every * config.probe_every;
-    let restarts = u64::from(2 * config.albedo_rounds).saturating_sub(1);
-    first + measured.max((u64::from(steps) * restarts / 10) as u32)
-}
-
 /// Weights of the objective at `progress` in [0, 1]. `light` is the colour towards which the light is regularised.
 pub fn step_weights(
     config: &TrainConfig,
@@ -238,20 +227,5 @@ mod tests {
         let weights = |step| step_weights(&config, at(step), 0.5, true, LightColour::NEUTRAL);
         assert_eq!(weights(75).physical, ImageWeights::default());
         assert!(weights(375).physical.l1 > 0.0 && weights(375).radiance.l1 < weights(75).radiance.l1);
-    }
-
-    #[test]
-    fn gaussians_without_a_photograph_are_dropped_after_the_last_measurement() {
-        for (iterations, probe_every) in [(750, 125), (1_500, 125), (3_000, 250), (1_500, 5_000)] {
-            let config = TrainConfig { iterations, probe_every, ..TrainConfig::on_curve(0.0) };
-            let first = config.warm_up_steps();
-            let is_measured = |p: &u32| {
-                (*p >= first && (*p - first).is_multiple_of(probe_every)) || config.is_albedo_round(*p)
-            };
-            assert_eq!((0..iterations).rfind(is_measured), Some(clearing(&config)), "{iterations}");
-            assert!(density_rounds(&config).last <= clearing(&config) || probe_every > iterations);
-        }
-        let no_materials = TrainConfig { warm_up: 1.0, ..TrainConfig::on_curve(0.0) };
-        assert_eq!(clearing(&no_materials), no_materials.iterations, "only at the end");
     }
 }

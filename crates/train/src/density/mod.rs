@@ -5,9 +5,6 @@
 //! one rule without random draws, and the rendered image hardly changes.
 
 mod order;
-mod unseen;
-
-pub use unseen::without_unseen;
 
 use relume_engine::{DensityPlan, DensitySignals, PlannedGaussian, SplitOrigin, sigmoid};
 

@@ -4,7 +4,6 @@ use crate::TrainError;
 use crate::density;
 use crate::schedule;
 use crate::trainer::Trainer;
-use relume_engine::PhotoSize;
 
 impl Trainer {
     /// Adds and drops Gaussians if a round is due after this step.
@@ -32,16 +31,5 @@ impl Trainer {
             self.measure(1)?;
         }
         Ok(())
-    }
-
-    /// Drops the Gaussians that no photograph shows.
-    pub(super) fn drop_unseen(&mut self) -> Result<(), TrainError> {
-        let state = self.engine.state()?;
-        if state.model.check().is_err() {
-            // The next step rolls back, and the schedule reaches this point again.
-            return Ok(());
-        }
-        let plan = density::without_unseen(&state, &self.data.cameras(PhotoSize::Half));
-        Ok(plan.map_or(Ok(()), |plan| self.engine.rebuild(&plan))?)
     }
 }

@@ -60,14 +60,11 @@ struct DueEvents {
     exposure_round: Option<ExposureRound>,
     /// Albedo restarts.
     restarts_albedo: bool,
-    /// Gaussians that no photograph shows are dropped.
-    drops_unseen: bool,
 }
 
 impl DueEvents {
     fn has_any(self) -> bool {
-        let Self { starts_materials, measures, exposure_round, restarts_albedo, drops_unseen } = self;
-        starts_materials || measures || exposure_round.is_some() || restarts_albedo || drops_unseen
+        self.starts_materials || self.measures || self.exposure_round.is_some() || self.restarts_albedo
     }
 }
 
@@ -225,7 +222,6 @@ impl Trainer {
         if self.is_done() {
             self.wait_for_steps()?;
             if self.tracker.non_finite_step.is_none() {
-                self.drop_unseen()?;
                 self.decide()?;
             }
         }
@@ -313,9 +309,6 @@ impl Trainer {
         if due.restarts_albedo {
             self.restart_albedo()?;
         }
-        if due.drops_unseen {
-            self.drop_unseen()?;
-        }
         self.decide()
     }
 
@@ -329,7 +322,6 @@ impl Trainer {
             due.measures |= self.measures() && is_measured(position);
             due.exposure_round = config.exposure_round(position).or(due.exposure_round);
             due.restarts_albedo |= config.is_albedo_round(position);
-            due.drops_unseen |= position == schedule::clearing(config);
         }
         due
     }
