@@ -27,6 +27,7 @@ mod promises;
 mod quality_gate;
 mod render_sequence;
 mod s3;
+mod scene_figures;
 mod schedulers;
 mod server_process;
 mod service;
