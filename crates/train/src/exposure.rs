@@ -1,17 +1,16 @@
 //! Exposure and white balance of single photographs.
 //!
 //! A phone chooses both for each photograph. The physically based branch renders every photograph under one light, so
-//! the median ratio of a photograph to its rendering is its gain. Before this branch trains, the view-independent colours
-//! of the radiance branch replace it; the whole branch would explain a gain as view dependence. These ratios also contain
-//! highlights and grazing light. Photographs are divided by their gains if these differ by more than model errors explain.
+//! the median ratio of a photograph to its rendering is its gain. (The radiance branch is unsuitable: it explains a
+//! gain as view dependence.) Photographs are divided by their gains if these differ by more than model errors
+//! explain.
 
 use rayon::prelude::*;
 
 use crate::context::StepContext;
 use crate::dataset::{Dataset, Gain};
-use relume_engine::{Photo, PhotoSize, TrainState, evaluation, linear_from_srgb};
-use relume_scene::{Field, Plane};
-use relume_spec::training::ExposureRound;
+use relume_engine::{Photo, PhotoSize, TrainState, linear_from_srgb};
+use relume_scene::Plane;
 
 /// Longest side of the images that are compared, pixels.
 const SIDE: u32 = 96;
@@ -21,46 +20,19 @@ const INFORMATIVE_RANGE: (f32, f32) = (0.06, 0.94);
 const MIN_FULL_MASK: f32 = 0.95;
 /// Least number of pixels for a gain.
 const MIN_PIXELS: usize = 50;
-/// Standard deviations over the photographs above which gains are applied, with the radiance branch and with the physically
-/// based branch: of `ln(gain)` in green, or of that of red or blue over green. Scenes with constant exposure stay below them
-/// (docs/decisions/0032).
-const MIN_GAIN_SPREAD: [f32; 2] = [0.08, 0.045];
+/// Standard deviation over the photographs above which gains are applied: of `ln(gain)` in green, or of that of red
+/// or blue over green. Scenes with constant exposure stay below it (docs/decisions/0032).
+const MIN_GAIN_SPREAD: f32 = 0.045;
 /// Largest accepted `|ln(gain)|`.
 const MAX_LOG_GAIN: f32 = 1.0;
 
-/// Gains of the photographs of `data` relative to the branch of `round`, normalised to a geometric mean of 1.
-pub fn gains(
-    round: ExposureRound,
-    state: &TrainState,
-    context: &StepContext<'_>,
-    data: &Dataset,
-) -> Vec<Gain> {
-    match round {
-        ExposureRound::Physical => gains_to(data, |photo| context.physical_image(state, photo)),
-        ExposureRound::Radiance => {
-            let even = without_view_dependence(state);
-            gains_to(data, |photo| evaluation::radiance(&even, &photo.camera, context.background))
-        }
-    }
-}
-
-/// `state` with the constant term of its radiance coefficients only.
-fn without_view_dependence(state: &TrainState) -> TrainState {
-    let mut even = state.clone();
-    let gaussians = &state.model.gaussians;
-    let constant = |i: usize| gaussians.row(Field::Radiance, i)[..3].iter().copied();
-    even.model.gaussians =
-        gaussians.clone().with_radiance(0, (0..gaussians.len()).flat_map(constant).collect());
-    even
-}
-
-/// Gains of the photographs relative to `image`, which renders a photograph, normalised to a geometric mean of 1.
-fn gains_to(data: &Dataset, image: impl Fn(&Photo) -> Vec<[f32; 3]> + Sync) -> Vec<Gain> {
+/// Gains of the photographs of `data` relative to the physically based branch, normalised to a geometric mean of 1.
+pub fn gains(state: &TrainState, context: &StepContext<'_>, data: &Dataset) -> Vec<Gain> {
     let logs: Vec<[f32; 3]> = (0..data.len())
         .into_par_iter()
         .map(|i| {
             let small = reduced(&data.decode_uncached(i, PhotoSize::Full));
-            median_ratio(&small, &image(&small))
+            median_ratio(&small, &context.physical_image(state, &small))
         })
         .collect();
     let n = logs.len().max(1) as f32;
@@ -70,10 +42,9 @@ fn gains_to(data: &Dataset, image: impl Fn(&Photo) -> Vec<[f32; 3]> + Sync) -> V
     logs.iter().map(gain).collect()
 }
 
-/// True when `gains` of `round` differ by more than those of photographs with constant exposure.
-pub fn differ(round: ExposureRound, gains: &[Gain]) -> bool {
-    let least = MIN_GAIN_SPREAD[round as usize];
-    spread(gains).iter().any(|spread| *spread > least)
+/// True when `gains` differ by more than those of photographs with constant exposure.
+pub fn differ(gains: &[Gain]) -> bool {
+    spread(gains).iter().any(|spread| *spread > MIN_GAIN_SPREAD)
 }
 
 /// Standard deviations of the logarithms of green, of red over green and of blue over green.
@@ -189,15 +160,9 @@ mod tests {
     #[test]
     fn gains_count_only_if_they_differ_between_photographs() {
         let of = |step: f32| -> Vec<Gain> { (0..10).map(|i| [(step * (i % 2) as f32).exp(); 3]).collect() };
-        let differ_in = |gains: &[Gain]| {
-            [ExposureRound::Radiance, ExposureRound::Physical].map(|round| differ(round, gains))
-        };
-        assert_eq!(differ_in(&of(0.2)), [true; 2]);
-        assert_eq!(differ_in(&of(0.1)), [false, true], "the radiance branch is less certain");
-        assert_eq!(differ_in(&of(0.08)), [false; 2]);
-        assert_eq!(differ_in(&[]), [false; 2]);
-        assert_eq!(differ_in(&[[1.3, 1.3, 1.3]; 5]), [false; 2], "a common gain belongs to the light");
+        assert!(differ(&of(0.1)) && !differ(&of(0.08)) && !differ(&[]));
+        assert!(!differ(&[[1.3, 1.3, 1.3]; 5]), "a common gain belongs to the light");
         let warmer: Vec<Gain> = (0..10).map(|i| [1.0 + 0.1 * (i % 2) as f32, 1.0, 1.0]).collect();
-        assert_eq!(differ_in(&warmer), [false, true]);
+        assert!(differ(&warmer));
     }
 }

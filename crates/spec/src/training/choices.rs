@@ -69,15 +69,6 @@ impl UpAxis {
     }
 }
 
-/// The branch with which a round of exposure matching compares the photographs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ExposureRound {
-    /// The view-independent colours of the radiance branch.
-    Radiance,
-    /// The physically based branch.
-    Physical,
-}
-
 /// Whether the subject of a capture turned in front of a still camera, as on a turntable, so that the light of the photographs
 /// rotates with the camera. `auto`: by evidence. `yes`, `no`: stated by the caller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, utoipa::ToSchema)]

@@ -23,9 +23,7 @@ use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 
-pub use choices::{
-    Complexity, ComplexitySetting, ExposureRound, LabelSource, Preset, TurntableCapture, UpAxis,
-};
+pub use choices::{Complexity, ComplexitySetting, LabelSource, Preset, TurntableCapture, UpAxis};
 pub use crop::{Crop, NamedCrop};
 pub use curve::CURVE;
 pub use error::ConfigError;
@@ -464,22 +462,14 @@ impl TrainConfig {
         }
     }
 
-    /// The comparison of the photographs' exposures before this step, if one is due: with the radiance branch after two
-    /// and four fifths of the warm-up, and with the physically based branch four times between a fifth and a half of
-    /// the steps that train materials.
-    pub fn exposure_round(&self, step: u32) -> Option<ExposureRound> {
-        let warm_up = self.warm_up_steps();
-        let is_due = |start: u32, steps: u32, parts: &[u64], of: u64| {
-            step > start && parts.iter().any(|part| u64::from(steps) * part / of == u64::from(step - start))
-        };
-        if !self.match_exposures {
-            None
-        } else if step < warm_up {
-            is_due(0, warm_up, &[2, 4], 5).then_some(ExposureRound::Radiance)
-        } else {
-            let material = self.iterations - warm_up;
-            is_due(warm_up, material, &[4, 6, 8, 10], 20).then_some(ExposureRound::Physical)
-        }
+    /// True if the exposures of the photographs are compared before this step: four times between a fifth and
+    /// a half of the steps that train materials.
+    pub fn is_exposure_round(&self, step: u32) -> bool {
+        let (first, material) = (self.warm_up_steps(), self.iterations - self.warm_up_steps());
+        let after = |tenths: u32| u64::from(material) * u64::from(tenths) / 20;
+        self.match_exposures
+            && step > first
+            && [4, 6, 8, 10].iter().any(|t| after(*t) == u64::from(step - first))
     }
 
     /// Weight of the loss of the radiance branch.

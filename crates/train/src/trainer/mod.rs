@@ -27,7 +27,7 @@ use relume_engine::{
 };
 use relume_scene::light::{EnvOperators, LightColour};
 use relume_scene::{Field, SplitLight};
-use relume_spec::training::{ExposureRound, TrainConfig};
+use relume_spec::training::TrainConfig;
 
 /// Number of steps between snapshots for roll-backs.
 const SNAPSHOT_EVERY: u32 = 50;
@@ -56,15 +56,15 @@ struct DueEvents {
     starts_materials: bool,
     /// Visibility is measured.
     measures: bool,
-    /// Exposures are compared with this branch.
-    exposure_round: Option<ExposureRound>,
+    /// Exposures are compared.
+    matches_exposures: bool,
     /// Albedo restarts.
     restarts_albedo: bool,
 }
 
 impl DueEvents {
     fn has_any(self) -> bool {
-        self.starts_materials || self.measures || self.exposure_round.is_some() || self.restarts_albedo
+        self.starts_materials || self.measures || self.matches_exposures || self.restarts_albedo
     }
 }
 
@@ -303,8 +303,8 @@ impl Trainer {
             // The first measurement also determines each Gaussian's open side, which the second one uses.
             self.measure(if due.starts_materials { 2 } else { 1 })?;
         }
-        if let Some(round) = due.exposure_round {
-            self.match_exposures(round)?;
+        if due.matches_exposures {
+            self.match_exposures()?;
         }
         if due.restarts_albedo {
             self.restart_albedo()?;
@@ -320,7 +320,7 @@ impl Trainer {
         for position in self.schedule.timeline.covered(self.schedule.step) {
             due.starts_materials |= position == warm_up;
             due.measures |= self.measures() && is_measured(position);
-            due.exposure_round = config.exposure_round(position).or(due.exposure_round);
+            due.matches_exposures |= config.is_exposure_round(position);
             due.restarts_albedo |= config.is_albedo_round(position);
         }
         due
@@ -342,13 +342,13 @@ impl Trainer {
     }
 
     /// Divides photographs by their gains if these differ.
-    fn match_exposures(&mut self, round: ExposureRound) -> Result<(), TrainError> {
+    fn match_exposures(&mut self) -> Result<(), TrainError> {
         let state = self.engine.state()?;
         if !self.data.rotations.is_static() || state.model.check().is_err() {
             return Ok(());
         }
-        let gains = exposure::gains(round, &state, &self.context(), &self.data);
-        if !self.schedule.gains.is_empty() || exposure::differ(round, &gains) {
+        let gains = exposure::gains(&state, &self.context(), &self.data);
+        if !self.schedule.gains.is_empty() || exposure::differ(&gains) {
             self.data.divide(&gains);
             self.schedule.gains.push(gains);
             // Older snapshots come from photographs with other exposures.
