@@ -76,7 +76,7 @@ fn light_stands_still_without_evidence_or_by_choice() {
 }
 
 #[test]
-fn stated_turntable_needs_cameras_that_turn_and_no_other_rotations() {
+fn stated_turntable_needs_turning_cameras_and_no_rotations() {
     let mut views = around(Background::Plain);
     assert!(derive(&mut views, TurntableCapture::Yes).unwrap().is_some());
     assert!(views[4].light_rotation_deg > 89.0);
