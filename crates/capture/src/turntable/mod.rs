@@ -58,7 +58,9 @@ pub(super) fn derive_rotations(
         _ if has_rotations || !(turns.span_deg() >= MIN_SPAN_DEG && turns.tilt_deg <= MAX_TILT_DEG) => {
             return Ok(None);
         }
-        _ if !has_still_background(views, &cameras) => return Ok(None),
+        _ if views.iter().all(|view| view.image.is_opaque()) || !has_still_background(views, &cameras) => {
+            return Ok(None);
+        }
         _ => {
             "the background stands still while the cameras turn; if that is wrong, set turntable_capture to `no`"
         }
