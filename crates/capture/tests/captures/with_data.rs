@@ -162,7 +162,11 @@ fn head_on_a_turntable_is_recognised() {
     let expected = [0.0, 3.8, 8.0, 12.8, 17.1, 20.7, 25.3, 30.0, 32.7, 38.7];
     let mut options = ImportOptions { max_side: Some(160), ..ImportOptions::default() };
     let capture = import(&data("captures/head66_llff"), &options).unwrap();
-    assert!(capture.turntable.as_ref().is_some_and(|note| note.contains("stands still")), "{:?}", capture.turntable);
+    assert!(
+        capture.turntable.as_ref().is_some_and(|note| note.contains("stands still")),
+        "{:?}",
+        capture.turntable
+    );
     let mut views: Vec<_> = capture.train.iter().chain(&capture.test).collect();
     views.sort_by(|a, b| a.name.cmp(&b.name));
     for (view, expected) in views.iter().zip(expected) {
