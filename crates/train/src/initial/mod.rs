@@ -1,4 +1,7 @@
-//! Initial Gaussians: from the capture's points, from the hull of its masks, or at random inside its bounds.
+//! Initial Gaussians: from the capture's points, from the hull of its masks, or at the depths that its photographs determine.
+
+mod plane_sweep;
+mod rays;
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -19,8 +22,6 @@ use relume_spec::training::TrainConfig;
 const HULL_SIDE: usize = 80;
 /// Occluder reach without masks, scene radii: Gaussians farther away count as light and do not occlude.
 const SURROUNDINGS: f32 = 0.5;
-/// Nearest and farthest initial Gaussian along a ray, relative to the distance from the camera to the object.
-const RAY_DEPTHS: [f64; 2] = [0.4, 4.0];
 /// Mean radiance of the initial light, which is uniform over all directions.
 const FIRST_LIGHT: f32 = 0.6;
 /// Opacity of a new Gaussian.
@@ -127,7 +128,7 @@ fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng)
         let display = |c: [f32; 3]| c.map(|v| relume_engine::srgb(v.clamp(0.0, 1.0)));
         (0..count).map(|i| (in_model(pick(i).0), display(pick(i).1))).collect()
     } else if hull.is_empty() {
-        seeds_along_rays(data, wanted, rng)
+        rays::seeds(data, wanted, rng)
     } else {
         let cell = 2.0 / HULL_SIDE as f32;
         let jitter = |rng: &mut ChaCha8Rng| (rng.random::<f32>() - 0.5) * cell;
@@ -139,28 +140,6 @@ fn seeds(capture: &Capture, data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng)
     }
     let spacing = nearest_neighbour_distance(&seeds);
     (seeds, spacing)
-}
-
-/// Seeds along the rays of random pixels of random photographs, at log-uniform depths around the object's distance:
-/// throughout the cameras' frusta and never close to a camera.
-fn seeds_along_rays(data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng) -> Vec<Seed> {
-    let mut seeds = Vec::with_capacity(wanted);
-    // For each photograph, its seeds and the pixels behind which they lie.
-    let mut behind: Vec<Vec<(usize, usize)>> = vec![Vec::new(); data.len()];
-    for seed in 0..wanted {
-        let index = rng.random_range(0..data.len());
-        let camera = data.camera(index, PhotoSize::Half);
-        let (x, y) = (rng.random_range(0..camera.width), rng.random_range(0..camera.height));
-        let [near, far] = RAY_DEPTHS;
-        let depth = camera.centre().length().max(1e-3) * near * (far / near).powf(rng.random::<f64>());
-        let position = camera.centre() + camera.ray(x, y) * depth;
-        seeds.push((position.as_vec3().to_array(), [0.0; 3]));
-        behind[index].push((seed, y as usize * camera.width as usize + x as usize));
-    }
-    data.for_each_photo(PhotoSize::Half, |index, photo| {
-        behind[index].iter().for_each(|(seed, pixel)| seeds[*seed].1 = photo.pixels[*pixel]);
-    });
-    seeds
 }
 
 /// Pixel of `photo` that shows a point; `None` if the point is behind the camera or outside the image.
@@ -252,4 +231,37 @@ fn nearest_neighbour_distance(seeds: &[Seed]) -> Vec<f32> {
             (nearest.iter().sum::<f32>() / 3.0).sqrt()
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use relume_engine::LightRotation;
+    use relume_scene::DisplayRange;
+
+    /// Height of a point above the wall of [`painted_plane`].
+    pub(super) fn wall(p: DVec3) -> f64 {
+        p.z - 0.1 * p.x
+    }
+
+    /// Photographs of `size` pixels of a wall through the origin, from 8 places at a distance of 2; `contrast` scales its pattern.
+    pub(super) fn painted_plane(size: u32, contrast: f64) -> Vec<Photo> {
+        let from = |k: usize| {
+            let turn = std::f64::consts::TAU * k as f64 / 8.0;
+            let eye = DVec3::new(0.35 * turn.cos(), 0.35 * turn.sin(), 2.0);
+            let camera = Camera::look_at(eye, DVec3::ZERO, DVec3::Y, 0.9, (size, size)).unwrap();
+            let pixel = |i: u32| {
+                let ray = camera.ray(i % size, i / size);
+                let p = eye - ray * (wall(eye) / wall(ray));
+                let wave = |a: f64, b: f64| (a * p.x + b * p.y).sin();
+                let value = 0.5 + contrast * 0.1 * (wave(17.0, 5.0) + wave(-7.0, 19.0) + wave(3.1, -8.3));
+                [value as f32; 3]
+            };
+            let pixels: Vec<_> = (0..size * size).map(pixel).collect();
+            let (light, range) = (LightRotation::default(), DisplayRange::Unit);
+            Photo { camera, pixels, alpha: Vec::new(), light, range }
+        };
+        (0..8).map(from).collect()
+    }
 }
