@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::cli::error::CommandResult;
 use crate::cli::output;
-use relume_capture::{SyntheticOptions, synthetic, write_archive};
+use relume_capture::{HeldOutCameras, SyntheticOptions, synthetic, write_archive};
 
 /// Options of `relume sample`.
 #[derive(Debug, clap::Args)]
@@ -15,6 +15,16 @@ pub(super) struct SampleArgs {
     /// Seed of the noise in the photographs.
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
+    /// Places of the held-out cameras: `between` the photographs, or `elsewhere`: nearer, farther, below and above them.
+    #[arg(long, value_name = "WHERE", default_value = "between")]
+    held_out: HeldOut,
+}
+
+/// Values of `--held-out`.
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum HeldOut {
+    Between,
+    Elsewhere,
 }
 
 /// Renders the scene of the demo with fewer and smaller photographs, some of them held out.
@@ -25,6 +35,10 @@ pub(super) fn run(args: &SampleArgs) -> CommandResult {
     let options = SyntheticOptions {
         train_views: 20,
         test_views: 4,
+        held_out: match args.held_out {
+            HeldOut::Between => HeldOutCameras::Between,
+            HeldOut::Elsewhere => HeldOutCameras::Elsewhere,
+        },
         size: 96,
         relit: [].into(),
         paths: 32,

@@ -66,7 +66,7 @@ pub use photographed_views::photographed_views;
 pub use photographs::{CapturePhotos, PictureOptions};
 pub use photos_without_poses::PhotosWithoutPoses;
 pub use selection::IgnoredFile;
-pub use synthetic::{SyntheticOptions, SyntheticScene, synthetic};
+pub use synthetic::{HeldOutCameras, SyntheticOptions, SyntheticScene, synthetic};
 pub use types::{Capture, CaptureView, GroundTruthView, SceneBounds};
 pub use up_direction::{Up, WorldUp};
 pub use write_archive::write_archive;

@@ -35,7 +35,7 @@ fn photographs(light: EnvMap) -> Capture {
         train_light: light,
         relit: BTreeMap::new(),
         paths: 16,
-        seed: 0,
+        ..SyntheticOptions::default()
     };
     synthetic(&options).unwrap()
 }

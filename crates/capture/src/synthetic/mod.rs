@@ -31,6 +31,8 @@ pub struct SyntheticOptions {
     pub train_views: usize,
     /// Held-out views with ground truth.
     pub test_views: usize,
+    /// Places of their cameras.
+    pub held_out: HeldOutCameras,
     /// Width and height of every image, pixels, 1 to 4096.
     pub size: u32,
     /// The light of the photographs.
@@ -51,6 +53,7 @@ impl Default for SyntheticOptions {
             scene: SyntheticScene::default(),
             train_views: 24,
             test_views: 6,
+            held_out: HeldOutCameras::default(),
             size: 128,
             train_light: light("studio"),
             relit: ["sunset", "overcast", "dawn"].map(|n| (n.to_owned(), light(n))).into(),
@@ -94,7 +97,7 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
     }
     let mut test = Vec::new();
     for i in 0..options.test_views {
-        let camera = camera(spiral(i, options.test_views, 1.1), options.size)?;
+        let camera = held_out_camera(i, options)?;
         let pixels = test_tracer.render(&camera, (1 << 32) + i as u64);
         let (image, truth) = (image(&camera, &pixels, 0), truth(&camera, &pixels, options));
         let name = format!("test_{i:03}/rgba.png");
@@ -131,6 +134,33 @@ fn check(options: &SyntheticOptions) -> Result<(), CaptureError> {
     Ok(())
 }
 
+/// Places of the held-out cameras.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum HeldOutCameras {
+    /// Among the photographs, at the same distance.
+    #[default]
+    Between,
+    /// Where no photograph was taken: [`ELSEWHERE`], one after the other.
+    Elsewhere,
+}
+
+/// Distances, as a factor of that of the photographs, and elevations in degrees. Photographs have elevations of 10 to 75 degrees.
+pub const ELSEWHERE: [(f64, f64); 4] = [(0.5, 40.0), (2.0, 40.0), (1.0, 0.0), (1.0, 88.0)];
+
+/// The camera of held-out view `i`.
+fn held_out_camera(i: usize, options: &SyntheticOptions) -> Result<Camera, CaptureError> {
+    let between = spiral(i, options.test_views, 1.1);
+    let centre = match options.held_out {
+        HeldOutCameras::Between => between,
+        HeldOutCameras::Elsewhere => {
+            let (distance, elevation) = ELSEWHERE[i % ELSEWHERE.len()];
+            let (sin, cos) = elevation.to_radians().sin_cos();
+            (between.truncate().normalize() * cos).extend(sin) * distance
+        }
+    };
+    camera(centre, options.size)
+}
+
 /// Point `i` of `count` on the upper hemisphere, evenly by area between 10 and 75 degrees of elevation.
 fn spiral(i: usize, count: usize, turn: f64) -> DVec3 {
     let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
@@ -141,9 +171,9 @@ fn spiral(i: usize, count: usize, turn: f64) -> DVec3 {
     DVec3::new(side * azimuth.cos(), side * azimuth.sin(), z)
 }
 
-/// A camera in direction `towards` from the origin, which it looks at.
-fn camera(towards: DVec3, size: u32) -> Result<Camera, CaptureError> {
-    Camera::look_at(towards * CAMERA_DISTANCE, DVec3::ZERO, DVec3::Z, FIELD_OF_VIEW, (size, size))
+/// A camera at `centre`, in distances of the photographs from the origin, which it looks at.
+fn camera(centre: DVec3, size: u32) -> Result<Camera, CaptureError> {
+    Camera::look_at(centre * CAMERA_DISTANCE, DVec3::ZERO, DVec3::Z, FIELD_OF_VIEW, (size, size))
         .map_err(|e| CaptureError::at_field("synthetic", e.field, e.reason))
 }
 
@@ -203,6 +233,38 @@ mod tests {
         let three = pool(3).install(|| tiny(5, 16));
         assert_eq!(one, three);
         assert_ne!(one, tiny(6, 16));
+    }
+
+    #[test]
+    fn cameras_elsewhere_stand_where_no_photograph_was_taken() {
+        let of = |held_out| {
+            let options = SyntheticOptions {
+                train_views: 12,
+                test_views: 4,
+                held_out,
+                size: 8,
+                paths: 4,
+                ..Default::default()
+            };
+            synthetic(&options).unwrap()
+        };
+        let nearest = |capture: &Capture, view: &CaptureView| {
+            let away = |other: &CaptureView| (other.camera.centre() - view.camera.centre()).length();
+            capture.train.iter().map(away).fold(f64::INFINITY, f64::min)
+        };
+        let (between, elsewhere) = (of(HeldOutCameras::Between), of(HeldOutCameras::Elsewhere));
+        for (view, (distance, elevation)) in elsewhere.test.iter().zip(ELSEWHERE) {
+            let centre = view.camera.centre();
+            assert!((centre.length() / (distance * CAMERA_DISTANCE) - 1.0).abs() < 1e-9);
+            assert!(((centre.z / centre.length()).asin().to_degrees() - elevation).abs() < 1e-6);
+        }
+        let gaps = |capture: &Capture| -> f64 { capture.test.iter().map(|v| nearest(capture, v)).sum() };
+        assert!(
+            gaps(&elsewhere) > 1.5 * gaps(&between),
+            "the control: {} {}",
+            gaps(&elsewhere),
+            gaps(&between)
+        );
     }
 
     #[test]
