@@ -45,6 +45,11 @@ fn project(gaussian_ix: u32) -> Splat {
     let at = model.quaternion + 4u * gaussian_ix;
     let quaternion = vec4f(params[at], vec3_at(at + 1u));
     let logit = params[model.opacity + gaussian_ix];
+    let sampling_rate = params[model.sampling_rate + gaussian_ix];
+    // No photograph shows it.
+    if sampling_rate < 0.0 {
+        return invisible();
+    }
     let numbers = !(is_nan(log_scale.x) || is_nan(log_scale.y) || is_nan(log_scale.z) || is_nan(logit));
     if !(numbers && all_finite(mean) && is_finite(quaternion.x) && all_finite(quaternion.yzw)) {
         return invisible();
@@ -69,7 +74,7 @@ fn project(gaussian_ix: u32) -> Splat {
     }
     let area = cross(x, y);
     let raw_determinant = dot(area, area);
-    let lp = low_pass_of(camera, at_camera.z, params[model.sampling_rate + gaussian_ix]);
+    let lp = low_pass_of(camera, at_camera.z, sampling_rate);
     let determinant = raw_determinant + lp * (raw.x + raw.z) + lp * lp;
     if !(determinant > MIN_DETERMINANT) {
         return invisible();

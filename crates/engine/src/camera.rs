@@ -54,7 +54,7 @@ impl RasterCamera {
     }
 
     /// Low-pass of a Gaussian at `depth`, px^2: 0.7 of that of the photograph that shows it largest, with `sampling_rate` pixels per unit of
-    /// length, where this camera shows it larger (docs/MODEL.md, section 2). A rate of 0 is unknown.
+    /// length, where this camera shows it larger (docs/MODEL.md, section 2). A rate of 0 is unknown; projection omits negative ones.
     #[inline]
     pub fn low_pass_of(&self, depth: f32, sampling_rate: f32) -> f32 {
         if !(sampling_rate > 0.0) {

@@ -75,6 +75,24 @@ pub fn blending_weights(state: &TrainState, camera: &Camera) -> Vec<f32> {
     out
 }
 
+/// Share of each Gaussian's footprint in the image of `camera` that other Gaussians do not hide, 0 to 1: its summed blending weight
+/// divided by the weight that it would have alone, which is at most the number of pixels. A Gaussian whose centre is outside of the
+/// image counts as visible if it has a weight of half a pixel. `None` for a Gaussian that no pixel can show.
+pub fn visible_shares(state: &TrainState, camera: &Camera) -> Vec<Option<f32>> {
+    let pass = colour_pass(state, camera);
+    let (width, height) = (camera.width as f32, camera.height as f32);
+    let mut out = vec![None; state.model.gaussians.len()];
+    for (splat, label) in pass.splats.iter().zip(cpu::backward_labels(&pass)) {
+        let [a, b, c] = splat.covariance;
+        let alone = std::f32::consts::TAU * splat.opacity * (a * c - b * b).max(0.0).sqrt();
+        let [x, y] = splat.mean;
+        let is_inside = (0.0..=width).contains(&x) && (0.0..=height).contains(&y);
+        let least = if is_inside { alone.clamp(f32::MIN_POSITIVE, width * height) } else { 0.5 };
+        out[splat.gaussian as usize] = Some((label.weight / least).min(1.0));
+    }
+    out
+}
+
 /// Outward unit normals of all Gaussians, by the last measurement of visibility.
 pub fn normals(state: &TrainState) -> Vec<[f32; 3]> {
     outward_normals(&source(state))

@@ -31,8 +31,9 @@ pub enum Field {
     Indirect,
     /// Radiance-branch SH coefficients, coefficient-major RGB (3 (d+1)^2).
     Radiance,
-    /// Pixels per unit of length in the photograph that shows the Gaussian largest; 0: unknown (1). A measurement, not a
-    /// parameter: it has no gradient and does not train.
+    /// Pixels per unit of length in the photograph that shows the Gaussian largest; 0: unknown (1). A negative rate marks a Gaussian that
+    /// no photograph shows: frames omit it, but it still blocks and scatters light. A measurement, not a parameter: it has no gradient and
+    /// does not train.
     SamplingRate,
 }
 

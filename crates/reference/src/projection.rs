@@ -64,7 +64,8 @@ pub fn project<'t>(
     let rotation = tape.input(Array::new(&[3, 3], camera.rotation.transpose().to_cols_array().to_vec()));
     let translation = tape.input(Array::new(&[3], camera.translation.to_array().to_vec()));
     let all = p.get(Field::Mean).matmul(rotation.transposed()) + translation;
-    let indices = front_to_back(&all.value());
+    let is_shown = |i: usize| p.get(Field::SamplingRate).value().data()[i] >= 0.0;
+    let indices = front_to_back(&all.value(), is_shown);
     let count = indices.len();
 
     let centres = all.gather(0, &indices);
@@ -130,10 +131,11 @@ impl GuardBand {
     }
 }
 
-/// Indices of the centres beyond [`NEAR`], nearest first; ties keep their order.
-fn front_to_back(centres: &Array) -> Vec<usize> {
+/// Indices of the centres beyond [`NEAR`] that are shown, nearest first; ties keep their order.
+fn front_to_back(centres: &Array, is_shown: impl Fn(usize) -> bool) -> Vec<usize> {
     let depth = |i: &usize| centres.row(*i)[2];
-    let mut indices: Vec<usize> = (0..centres.shape()[0]).filter(|i| depth(i) > NEAR).collect();
+    let mut indices: Vec<usize> =
+        (0..centres.shape()[0]).filter(|i| depth(i) > NEAR && is_shown(*i)).collect();
     indices.sort_by(|i, j| depth(i).total_cmp(&depth(j)));
     indices
 }

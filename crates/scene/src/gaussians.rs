@@ -99,6 +99,19 @@ impl Gaussians {
         out
     }
 
+    /// False for a Gaussian that no photograph shows: frames omit it ([`Field::SamplingRate`]).
+    #[inline]
+    pub fn is_photographed(&self, i: usize) -> bool {
+        !(self.row(Field::SamplingRate, i)[0] < 0.0)
+    }
+
+    /// A copy of the Gaussians that frames show.
+    #[must_use]
+    pub fn photographed(&self) -> Self {
+        let shown: Vec<usize> = (0..self.len).filter(|i| self.is_photographed(*i)).collect();
+        self.gathered(&shown)
+    }
+
     /// A copy of the Gaussians at `indices`, in that order; an index may repeat.
     #[must_use]
     pub fn gathered(&self, indices: &[usize]) -> Self {

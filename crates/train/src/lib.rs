@@ -24,6 +24,7 @@ mod state;
 mod system_memory;
 pub mod time_budget;
 mod trainer;
+mod unseen;
 mod world_up;
 
 pub use checkpoint::planned_config;

@@ -8,12 +8,13 @@ use relume_layout::constants::NEAR;
 use relume_scene::{Camera, Field, Gaussians};
 
 /// Stores the sampling rate of each Gaussian: the largest number of pixels per unit of length among the cameras that have its centre
-/// in their image, or among all cameras if none has.
+/// in their image, or among all cameras if none has. Hidden Gaussians keep their negative sign.
 pub(crate) fn measure(gaussians: &mut Gaussians, cameras: &[&Camera]) {
-    let rates: Vec<f32> = (0..gaussians.len())
-        .into_par_iter()
-        .map(|i| rate(DVec3::from(gaussians.get::<3>(Field::Mean, i).map(f64::from)), cameras))
-        .collect();
+    let signed = |i: usize| {
+        let rate = rate(DVec3::from(gaussians.get::<3>(Field::Mean, i).map(f64::from)), cameras);
+        if gaussians.is_photographed(i) { rate } else { -rate }
+    };
+    let rates: Vec<f32> = (0..gaussians.len()).into_par_iter().map(signed).collect();
     gaussians.field_mut(Field::SamplingRate).copy_from_slice(&rates);
 }
 
@@ -32,7 +33,7 @@ fn rate(point: DVec3, cameras: &[&Camera]) -> f32 {
 }
 
 /// True if the image of a point in camera coordinates contains it.
-fn is_in_image(camera: &Camera, p: DVec3) -> bool {
+pub(crate) fn is_in_image(camera: &Camera, p: DVec3) -> bool {
     let inside = |at: f64, size: u32| (0.0..=f64::from(size)).contains(&at);
     p.z > f64::from(NEAR)
         && inside(camera.fx * p.x / p.z + camera.cx, camera.width)
@@ -63,6 +64,12 @@ mod tests {
         assert!(
             (f64::from(gaussians.field(Field::SamplingRate)[0]) / (focal / 4.0) - 1.0).abs() < 1e-6,
             "the control"
+        );
+        gaussians.row_mut(Field::SamplingRate, 1)[0] = -1.0;
+        measure(&mut gaussians, &[&far]);
+        assert!(
+            (f64::from(gaussians.field(Field::SamplingRate)[1]) / (focal / -50.0) - 1.0).abs() < 0.1,
+            "hidden"
         );
         measure(&mut gaussians, &[]);
         assert_eq!(gaussians.field(Field::SamplingRate), [0.0, 0.0]);

@@ -49,6 +49,14 @@ pub fn measures(config: &TrainConfig) -> bool {
     config.bounces > 0 || matches!(config.labels, LabelSource::Probes | LabelSource::Both)
 }
 
+/// Share of the schedule after which Gaussians that no photograph shows are hidden.
+const HIDING: f32 = 0.8;
+
+/// The position before which the Gaussians that no photograph shows are hidden.
+pub fn hiding(config: &TrainConfig) -> u32 {
+    (HIDING * config.iterations as f32) as u32
+}
+
 /// The rounds of density control.
 pub fn density_rounds(config: &TrainConfig) -> DensityRounds {
     let total = config.iterations;

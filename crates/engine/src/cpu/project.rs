@@ -43,7 +43,7 @@ pub struct Geometry {
     pub quaternion: [f32; 4],
     /// Opacity logit.
     pub opacity_logit: f32,
-    /// Pixels per unit of length in the photograph that shows the Gaussian largest; 0 if unknown.
+    /// Pixels per unit of length in the photograph that shows the Gaussian largest; 0 if unknown, negative if none shows it.
     pub sampling_rate: f32,
 }
 
@@ -152,7 +152,7 @@ struct Projection {
 }
 
 fn prepare(view: &RasterCamera, g: &Geometry) -> Option<Projection> {
-    if !g.is_usable() {
+    if !g.is_usable() || g.sampling_rate < 0.0 {
         return None;
     }
     let camera = view.to_camera(g.mean);

@@ -174,10 +174,12 @@ fn build(boxes: &mut [BoundedOccluder], first: usize, nodes: &mut Vec<BvhNode>) 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cpu::project::project;
     use crate::cpu::{Probes, outward_normals};
-    use crate::fibonacci_sphere;
+    use crate::{RasterCamera, fibonacci_sphere};
+    use glam::DVec3;
     use relume_compare::largest_difference;
-    use relume_scene::{Field, Gaussians, ShadingOptions};
+    use relume_scene::{Camera, Field, Gaussians, ShadingOptions};
 
     /// A cloud of discs, needles and blobs of very different sizes, some almost transparent.
     fn cloud(n: usize) -> Gaussians {
@@ -227,6 +229,23 @@ mod tests {
         assert!(error < 2e-3, "{error}");
         let hidden = expected.iter().filter(|t| **t < 0.5).count();
         assert!(hidden > 500, "the control: of 16,000 rays only {hidden} were hidden");
+    }
+
+    #[test]
+    fn gaussians_without_a_photograph_block_light_and_are_not_drawn() {
+        let (mut g, options) = (Gaussians::zeroed(1, 1, 0, 0), ShadingOptions::default());
+        g.field_mut(Field::LogScale).fill(0.1f32.ln());
+        g.field_mut(Field::Quaternion)[0] = 1.0;
+        g.field_mut(Field::OpacityLogit).fill(20.0);
+        let camera = Camera::look_at(DVec3::X * 3.0, DVec3::ZERO, DVec3::Z, 0.8, (16, 16)).unwrap();
+        let view = RasterCamera::new(&camera, &options);
+        for (rate, is_drawn) in [(8.0, true), (-8.0, false)] {
+            g.field_mut(Field::SamplingRate)[0] = rate;
+            let source = source(&g, &options);
+            let rays = OccluderBvh::new(&source, ProbeSettings::default());
+            assert!(rays.transmittance([0.0, 0.0, -1.0], [0.0, 0.0, 1.0]) < 0.02, "{rate}");
+            assert_eq!(project(&view, 0, &source.geometry(0)).is_some(), is_drawn, "{rate}");
+        }
     }
 
     #[test]

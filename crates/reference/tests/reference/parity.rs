@@ -61,6 +61,8 @@ pub(super) fn model(seed: u64, shading: ShadingOptions) -> Model {
     }
     // The test cameras enlarge every second Gaussian.
     gaussians.field_mut(Field::SamplingRate).iter_mut().step_by(2).for_each(|rate| *rate = 3.0);
+    // No photograph shows every ninth one.
+    gaussians.field_mut(Field::SamplingRate).iter_mut().step_by(9).for_each(|rate| *rate = -3.0);
     gaussians.field_mut(Field::Visibility).iter_mut().step_by(25).for_each(|c| *c += 2.2);
     let mut triples = |count: usize, centre: f32, spread: f32| {
         let mut rows = vec![[0.0; 3]; count];

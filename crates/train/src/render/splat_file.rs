@@ -1,6 +1,7 @@
 //! Exports a model to the file formats of other programs: Gaussians with one colour, and their materials if the
 //! format supports them.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::render::renderer::Renderer;
@@ -62,8 +63,8 @@ pub enum SplatFileError {
 /// without materials, a PLY is an ordinary splat file. For [`ExportedColour::Relit`] the model must come from
 /// [`relit`]. With `flatten`, each Gaussian is rotated until its shortest axis is its shading normal.
 ///
-/// All files but the PLY with materials, which states the sampling rates, have Gaussians widened for enlargement
-/// ([`Splats::with_low_pass`]).
+/// The PLY with materials states the sampling rates. All other files have Gaussians widened for enlargement
+/// ([`Splats::with_low_pass`]), without those that no photograph shows.
 ///
 /// # Errors
 /// If the file would be too large for its format.
@@ -75,8 +76,11 @@ pub fn encode_splat_file(
 ) -> Result<Vec<u8>, SplatFileError> {
     let ordinary = shown.is_some() || !model.has_materials();
     let columns = if ordinary { PlyProperties::Ordinary } else { PlyProperties::Relightable };
+    let has_rates = file == SplatFile::Ply && !ordinary;
+    let model = if has_rates { Cow::Borrowed(model) } else { as_shown(model) };
+    let model = &*model;
     let mut splats = Splats::of(model);
-    if file != SplatFile::Ply || ordinary {
+    if !has_rates {
         splats = splats.with_low_pass(model);
     }
     if flatten {
@@ -95,6 +99,15 @@ pub fn encode_splat_file(
         SplatFile::Usdz => usd::encode_splats_package(&splats)?,
         SplatFile::Hdr => environment::encode_hdr(&model.environment())?,
     })
+}
+
+/// The model without the Gaussians that frames omit.
+fn as_shown(model: &Model) -> Cow<'_, Model> {
+    let g = &model.gaussians;
+    if (0..g.len()).all(|i| g.is_photographed(i)) {
+        return Cow::Borrowed(model);
+    }
+    Cow::Owned(Model { gaussians: g.photographed(), ..model.clone() })
 }
 
 /// The model with its colours under `light`, as SH of `degree` (at most
@@ -116,4 +129,39 @@ pub fn encode_mesh_file(model: Model, cells: usize) -> Result<Vec<u8>, SplatFile
     let options = MeshOptions { cells, ..MeshOptions::default() };
     let mesh = Renderer::new(Arc::new(model)).mesh(options)?;
     Ok(gltf::encode_mesh(&mesh)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use relume_capture::formats::splat_import;
+    use relume_scene::{Field, Gaussians};
+
+    /// Two Gaussians with materials; no photograph shows the second one if `is_hidden`.
+    fn model(is_hidden: bool) -> Model {
+        let mut g = Gaussians::zeroed(2, 1, 0, 0);
+        for i in 0..2 {
+            g.row_mut(Field::Mean, i)[0] = i as f32;
+            g.row_mut(Field::LogScale, i).fill(-3.0);
+            g.row_mut(Field::Quaternion, i)[0] = 1.0;
+            g.row_mut(Field::OpacityLogit, i)[0] = 2.0;
+        }
+        g.field_mut(Field::SamplingRate).copy_from_slice(&[8.0, if is_hidden { -8.0 } else { 8.0 }]);
+        Model::new(g, vec![[0.5; 3]], vec![[0.5; 3]; 8], (4, 2))
+    }
+
+    #[test]
+    fn only_the_relightable_file_has_gaussians_that_no_photograph_shows() {
+        let count = |model: &Model, shown: Option<ExportedColour>| {
+            let bytes = encode_splat_file(model, SplatFile::Ply, shown, false).unwrap();
+            let gaussians = splat_import::decode(&bytes).unwrap().model.gaussians;
+            let photographed = (0..gaussians.len()).filter(|i| gaussians.is_photographed(*i)).count();
+            (gaussians.len(), photographed)
+        };
+        for shown in [ExportedColour::Radiance, ExportedColour::Albedo] {
+            assert_eq!(count(&model(true), Some(shown)), (1, 1));
+            assert_eq!(count(&model(false), Some(shown)), (2, 2), "the control");
+        }
+        assert_eq!(count(&model(true), None), (2, 1));
+    }
 }

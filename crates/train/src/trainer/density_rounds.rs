@@ -4,6 +4,8 @@ use crate::TrainError;
 use crate::density;
 use crate::schedule;
 use crate::trainer::Trainer;
+use crate::unseen;
+use relume_engine::PhotoSize;
 
 impl Trainer {
     /// Adds and drops Gaussians if a round is due after this step.
@@ -31,5 +33,16 @@ impl Trainer {
             self.measure(1)?;
         }
         Ok(())
+    }
+
+    /// Hides the Gaussians that no photograph shows. The remaining steps close the gaps in the surfaces before them.
+    pub(super) fn hide_unseen(&mut self) -> Result<(), TrainError> {
+        let mut state = self.engine.state()?.into_owned();
+        if state.model.check().is_err() {
+            // The next step rolls back, and the schedule reaches this point again.
+            return Ok(());
+        }
+        unseen::hide(&mut state, &self.data.cameras(PhotoSize::Half));
+        Ok(self.engine.load(state)?)
     }
 }

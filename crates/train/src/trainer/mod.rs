@@ -60,11 +60,14 @@ struct DueEvents {
     matches_exposures: bool,
     /// Albedo restarts.
     restarts_albedo: bool,
+    /// Gaussians that no photograph shows are hidden.
+    hides_unseen: bool,
 }
 
 impl DueEvents {
     fn has_any(self) -> bool {
-        self.starts_materials || self.measures || self.matches_exposures || self.restarts_albedo
+        let Self { starts_materials, measures, matches_exposures, restarts_albedo, hides_unseen } = self;
+        starts_materials || measures || matches_exposures || restarts_albedo || hides_unseen
     }
 }
 
@@ -309,6 +312,9 @@ impl Trainer {
         if due.restarts_albedo {
             self.restart_albedo()?;
         }
+        if due.hides_unseen {
+            self.hide_unseen()?;
+        }
         self.decide()
     }
 
@@ -322,6 +328,7 @@ impl Trainer {
             due.measures |= self.measures() && is_measured(position);
             due.matches_exposures |= config.is_exposure_round(position);
             due.restarts_albedo |= config.is_albedo_round(position);
+            due.hides_unseen |= position == schedule::hiding(config);
         }
         due
     }

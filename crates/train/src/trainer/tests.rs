@@ -3,6 +3,7 @@ use crate::time_budget::{PlanChange, Timeline};
 use relume_capture::{SyntheticOptions, synthetic};
 use relume_compare::worst;
 use relume_reference::gpu_device;
+use relume_scene::{Field, Model};
 use relume_spec::training::{Preset, TrainOverrides};
 
 #[test]
@@ -211,4 +212,23 @@ fn plan_that_jumps_at_a_density_round_repeats_its_bytes() {
     assert!(model.len() > 64, "the round has added Gaussians");
     assert!(finished(repeated(88)) == model);
     assert!(finished(repeated(90)) != model, "the control: another plan");
+}
+
+#[test]
+fn finished_model_hides_gaussians_that_no_photograph_shows() {
+    let (capture, mut config) = small();
+    config.iterations = 2;
+    let mut trainer = Trainer::new(&capture, config, &Device::Cpu).unwrap();
+    let mut state = trainer.engine.state().unwrap().into_owned();
+    // Far outside of every image.
+    state.model.gaussians.row_mut(Field::Mean, 7).copy_from_slice(&[90.0, 0.0, 0.0]);
+    trainer.engine.load(state).unwrap();
+    let is_hidden = |model: &Model| !model.gaussians.is_photographed(7);
+    assert!(!is_hidden(&trainer.model().unwrap()), "previews show every Gaussian");
+    while !trainer.is_done() {
+        trainer.step().unwrap();
+    }
+    let model = trainer.model().unwrap();
+    assert!(is_hidden(&model));
+    assert!((0..model.gaussians.len()).any(|i| model.gaussians.is_photographed(i)), "the control");
 }

@@ -211,7 +211,7 @@ impl MaterialColumns {
         let visibility = self.visibility.iter().map(|c| row[*c] as f32);
         out.row_mut(Field::Visibility, i).iter_mut().zip(visibility).for_each(|(o, v)| *o = v);
         out.row_mut(Field::Sheen, i)[0] = self.sheen.map_or(0.0, |c| row[c] as f32);
-        out.row_mut(Field::SamplingRate, i)[0] = self.sampling_rate.map_or(0.0, |c| row[c].max(0.0) as f32);
+        out.row_mut(Field::SamplingRate, i)[0] = self.sampling_rate.map_or(0.0, |c| row[c] as f32);
     }
 }
 

@@ -15,7 +15,7 @@ const MAX_SHEEN: f32 = 3.0;
 /// Greatest magnitude of the logarithm of a standard deviation when drawn.
 const MAX_LOG_SCALE: f32 = 60.0;
 
-/// Indices of the Gaussians by decreasing importance: opacity times the area of the broadest side; ties by index.
+/// Indices of the Gaussians that frames show, by decreasing importance: opacity times the area of the broadest side; ties by index.
 pub fn importance_order(g: &Gaussians) -> Vec<usize> {
     let importance: Vec<f32> = (0..g.len())
         .map(|i| {
@@ -26,7 +26,7 @@ pub fn importance_order(g: &Gaussians) -> Vec<usize> {
             area - (-g.row(Field::OpacityLogit, i)[0]).clamp(-80.0, 80.0).exp().ln_1p()
         })
         .collect();
-    let mut order: Vec<usize> = (0..g.len()).collect();
+    let mut order: Vec<usize> = (0..g.len()).filter(|i| g.is_photographed(*i)).collect();
     order.sort_by(|a, b| importance[*b].total_cmp(&importance[*a]).then(a.cmp(b)));
     order
 }

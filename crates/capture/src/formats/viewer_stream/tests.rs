@@ -59,6 +59,9 @@ fn read(mut bytes: &[u8], magic: &[u8; 4]) -> Read {
 }
 
 /// Gaussians with distinct values, including extreme ones.
+/// The Gaussian of [`model`] that no photograph shows.
+const UNPHOTOGRAPHED: usize = 9;
+
 fn model() -> Model {
     let mut gaussians = Gaussians::zeroed(50, 2, 2, 1);
     let mut state = 7u32;
@@ -69,6 +72,8 @@ fn model() -> Model {
     for (_, _, values) in gaussians.fields_mut() {
         values.iter_mut().for_each(|v| *v = random());
     }
+    gaussians.field_mut(Field::SamplingRate).iter_mut().for_each(|rate| *rate = rate.abs());
+    gaussians.row_mut(Field::SamplingRate, UNPHOTOGRAPHED)[0] = -1.0;
     gaussians.row_mut(Field::Mean, 3)[0] = 250.0;
     // Nearly round: the last digits decide the shortest axis.
     gaussians.row_mut(Field::LogScale, 4).copy_from_slice(&[-2.0, -2.000_001, -2.0]);
@@ -119,6 +124,20 @@ fn stream_matches_the_model_within_quantisation_steps() {
     assert!(error(&read, "albedo", &albedo) < 1e-5);
     assert_eq!(read.header["world_offset"], serde_json::json!([1.0, 2.0, 3.0]));
     assert_eq!(read.header["shading"]["normal"], "shortest_axis");
+}
+
+#[test]
+fn stream_omits_gaussians_that_no_photograph_shows() {
+    let model = model();
+    let count = |model: &Model| {
+        let read = read(&encode_gaussians(model, &FRAMING), b"RLMG");
+        read.records.iter().find(|(name, _)| name == "opacity").unwrap().1.len()
+    };
+    assert_eq!(count(&model), 49);
+    assert!(!importance_order(&model.gaussians).contains(&UNPHOTOGRAPHED));
+    let mut shown = model;
+    shown.gaussians.row_mut(Field::SamplingRate, UNPHOTOGRAPHED)[0] = 1.0;
+    assert_eq!(count(&shown), 50, "the control");
 }
 
 #[test]

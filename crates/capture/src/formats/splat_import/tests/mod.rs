@@ -45,7 +45,7 @@ fn original() -> Model {
     model.shading.occluder_reach = Some(0.5);
     model.gaussians.row_mut(Field::Normal, 1).copy_from_slice(&[0.3, 0.1, 0.0]);
     model.gaussians.row_mut(Field::Sheen, 1)[0] = 0.25;
-    model.gaussians.row_mut(Field::SamplingRate, 1)[0] = 75.0;
+    model.gaussians.field_mut(Field::SamplingRate).copy_from_slice(&[-25.0, 75.0]);
     model
 }
 
@@ -62,7 +62,7 @@ fn own_files_are_read_back_with_or_without_comments() {
         (g.row(Field::Sheen, 1), g.row(Field::Visibility, 1)),
         (&[0.25][..], &[3.0, 0.0, -1.0, 0.0][..])
     );
-    assert_eq!(g.field(Field::SamplingRate), [0.0, 75.0]);
+    assert_eq!(g.field(Field::SamplingRate), [-25.0, 75.0]);
     assert_eq!(g.row(Field::Radiance, 1)[..12], *model.gaussians.row(Field::Radiance, 1));
     let bare = imported(&without_comments(&bytes));
     assert!(same(&model, &bare) && bare.has_materials());

@@ -26,7 +26,8 @@ fn project_one(view: &RasterCamera, g: &Gaussians, i: usize) -> Option<ExactSpla
     let dot = |a: [f64; 3], b: [f64; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f64>();
     let (mean, translation) = (wide(g.row(Field::Mean, i)), wide(&view.translation));
     let camera: [f64; 3] = std::array::from_fn(|k| dot(rows[k], mean) + translation[k]);
-    if camera[2] <= 0.05 {
+    let rate = f64::from(g.row(Field::SamplingRate, i)[0]);
+    if camera[2] <= 0.05 || rate < 0.0 {
         return None;
     }
     let focal = view.focal.map(f64::from);
@@ -41,7 +42,7 @@ fn project_one(view: &RasterCamera, g: &Gaussians, i: usize) -> Option<ExactSpla
     let rotation = glam::DMat3::from_quat(glam::DQuat::from_xyzw(x, y, z, w));
     let scale = wide(g.row(Field::LogScale, i)).map(f64::exp);
     let screen = to.map(|t| std::array::from_fn(|c| scale[c] * dot(t, rotation.col(c).to_array())));
-    let low_pass = low_pass_of(view, camera[2], f64::from(g.row(Field::SamplingRate, i)[0]));
+    let low_pass = low_pass_of(view, camera[2], rate);
     let [xx, xy, yy] = [dot(screen[0], screen[0]), dot(screen[0], screen[1]), dot(screen[1], screen[1])];
     let raw_determinant = xx * yy - xy * xy;
     let (xx, yy) = (xx + low_pass, yy + low_pass);

@@ -50,6 +50,8 @@ impl RasterScene {
             let (lo, hi) = ranges(field);
             gaussians.field_mut(field).iter_mut().for_each(|v| *v = uniform(lo, hi));
         }
+        // No photograph shows some.
+        gaussians.field_mut(Field::SamplingRate).iter_mut().step_by(11).for_each(|rate| *rate = -*rate);
         let prototypes = (0..5).map(|_| [uniform(-0.2, 1.2), uniform(0.0, 1.0), uniform(0.0, 1.0)]).collect();
         let gathered = (0..n).map(|_| std::array::from_fn(|_| uniform(0.0, 1.0))).collect();
         let basis = std::array::from_fn(|_| [uniform(-1.0, 1.0), uniform(-1.0, 1.0), uniform(0.0, 1.0)]);
