@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn gaussians_smaller_than_pixels_and_wider_than_the_image_are_seen() {
+    fn tiny_and_huge_gaussians_count_as_seen() {
         let tiny = state(&[(0.0, 0.5), (-1.0, 1e-4)]);
         assert_eq!(evaluation::visible_shares(&tiny, &camera(-4.0))[1], None, "no pixel shows it");
         assert_eq!(unseen(&tiny, &[&camera(-4.0)]), [false, false]);

@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_relightable_file_has_gaussians_that_no_photograph_shows() {
+    fn only_the_relightable_file_has_unphotographed_gaussians() {
         let count = |model: &Model, shown: Option<ExportedColour>| {
             let bytes = encode_splat_file(model, SplatFile::Ply, shown, false).unwrap();
             let gaussians = splat_import::decode(&bytes).unwrap().model.gaussians;
