@@ -266,8 +266,9 @@ mod tests {
             .iter_mut()
             .zip(pixels.iter().cycle().skip(3))
             .for_each(|(photo, p)| photo.pixels.clone_from(p));
-        let (wrong, _) = errors(&confused);
-        assert!(4 * wrong.len() < found.len(), "{} found of {}", wrong.len(), found.len());
+        let close = |errors: &[f64]| errors.iter().filter(|e| **e < 0.02).count();
+        let wrong = errors(&confused).0;
+        assert!(4 * close(&wrong) < close(&found), "{} of {}", close(&wrong), close(&found));
     }
 
     #[test]
