@@ -124,7 +124,7 @@ fn gaussians_with_nan_parameters_are_invisible() {
     let gpu = Gpu::for_tests();
     let mut raster = Raster::new(&gpu).unwrap();
     let fields = [Field::Mean, Field::LogScale, Field::Quaternion, Field::OpacityLogit];
-    let mut scene = RasterScene::random(37, 40, (20, 20), 1);
+    let mut scene = RasterScene::random(37, 40, (20, 20), 1).fill(Field::SamplingRate, &[20.0]);
     let all = counts(&scene.gpu(&mut raster, Channels::Colour, EarlyStop::WhenSaturated)).visible;
     for (i, field) in fields.into_iter().enumerate() {
         for k in 0..scene.gaussians.width(field) {
@@ -151,7 +151,8 @@ fn equal_depths_are_ordered_by_index() {
     let mut raster = Raster::new(&gpu).unwrap();
     let scene = RasterScene::random(38, 100, (37, 21), 1)
         .fill(Field::Mean, &[0.1, 0.0, 0.1])
-        .fill(Field::LogScale, &[-1.5, -1.6, -1.2]);
+        .fill(Field::LogScale, &[-1.5, -1.6, -1.2])
+        .fill(Field::SamplingRate, &[20.0]);
     assert_forward(&mut raster, &scene, Channels::Material, 2e-5, "equal depths");
     let (_, order) = projected(&mut raster, &scene);
     let order = gpu.read(&order, 0..100).unwrap();
