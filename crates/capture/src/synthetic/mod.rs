@@ -140,12 +140,13 @@ pub enum HeldOutCameras {
     /// Among the photographs, at the same distance.
     #[default]
     Between,
-    /// Where no photograph was taken: [`ELSEWHERE`], one after the other.
+    /// Where no photograph was taken: at half and at twice the distance, at the height of the objects, and above them.
     Elsewhere,
 }
 
-/// Distances, as a factor of that of the photographs, and elevations in degrees. Photographs have elevations of 10 to 75 degrees.
-pub const ELSEWHERE: [(f64, f64); 4] = [(0.5, 40.0), (2.0, 40.0), (1.0, 0.0), (1.0, 88.0)];
+/// Places of [`HeldOutCameras::Elsewhere`], one after the other: distances, as a factor of that of the photographs, and elevations in
+/// degrees. Photographs have elevations of 10 to 75 degrees.
+const ELSEWHERE: [(f64, f64); 4] = [(0.5, 40.0), (2.0, 40.0), (1.0, 0.0), (1.0, 88.0)];
 
 /// The camera of held-out view `i`.
 fn held_out_camera(i: usize, options: &SyntheticOptions) -> Result<Camera, CaptureError> {
