@@ -15,7 +15,7 @@ pub(super) struct SampleArgs {
     /// Seed of the noise in the photographs.
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
-    /// Places of the held-out cameras: `between` the photographs, or `elsewhere`: nearer, farther, below and above them.
+    /// Places of the held-out cameras: `between` the photographs, or `elsewhere`: nearer, farther, lower and higher than them.
     #[arg(long, value_name = "WHERE", default_value = "between")]
     held_out: HeldOut,
 }
