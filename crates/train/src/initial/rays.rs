@@ -47,8 +47,7 @@ fn swept(data: &Dataset, wanted: usize, rng: &mut ChaCha8Rng) -> Vec<Origin> {
         let camera = sweep.camera(photo);
         let distance = camera.centre().length().max(1e-3);
         let point = sweep.point(photo, (x, y), RAY_DEPTHS.map(|d| d * distance))?;
-        let share = |at: u32, size: u32| (f64::from(at) + 0.5) / f64::from(size);
-        Some(Origin { point, photo, at: [share(x, camera.width), share(y, camera.height)] })
+        Some(Origin { point, photo, at: shares(camera, [x, y]) })
     };
     let found: Vec<Option<Origin>> = tried.par_iter().map(origin).collect();
     found.into_iter().flatten().take(wanted).collect()
@@ -62,9 +61,13 @@ fn at_random_depth(data: &Dataset, rng: &mut ChaCha8Rng) -> Origin {
     let (x, y) = (rng.random_range(0..camera.width), rng.random_range(0..camera.height));
     let [near, far] = RAY_DEPTHS;
     let depth = camera.centre().length().max(1e-3) * near * (far / near).powf(rng.random::<f64>());
-    let share = |at: u32, size: u32| (f64::from(at) + 0.5) / f64::from(size);
     let point = camera.centre() + camera.ray(x, y) * depth;
-    Origin { point, photo, at: [share(x, camera.width), share(y, camera.height)] }
+    Origin { point, photo, at: shares(camera, [x, y]) }
+}
+
+/// The centre of pixel (`x`, `y`) in shares of the image's size.
+fn shares(camera: &Camera, [x, y]: [u32; 2]) -> [f64; 2] {
+    [(x, camera.width), (y, camera.height)].map(|(at, size)| (f64::from(at) + 0.5) / f64::from(size))
 }
 
 /// The points with the colours of their pixels.
