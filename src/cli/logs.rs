@@ -2,6 +2,7 @@
 
 use std::io::IsTerminal;
 
+use tracing_subscriber::fmt::format::FmtSpan;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer, Registry, fmt};
@@ -32,11 +33,15 @@ impl Traces {
 }
 
 /// Logs to standard error, filtered by `RUST_LOG`. By default a service logs its operations, and other commands log only warnings
-/// and errors. A service sends traces if a collector is named.
+/// and errors; if `RUST_LOG` selects spans, they also log the duration of each. A service sends traces if a collector is named.
 pub(super) fn start(json: bool, is_service: bool) -> Traces {
     let default_level = if is_service { "relume=info,warn" } else { "warn" };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_level));
-    let log = fmt::layer().with_writer(std::io::stderr).with_ansi(std::io::stderr().is_terminal());
+    let spans = if is_service { FmtSpan::NONE } else { FmtSpan::CLOSE };
+    let log = fmt::layer()
+        .with_span_events(spans)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal());
     let log: AnyLayer =
         if json { log.json().with_filter(filter).boxed() } else { log.with_filter(filter).boxed() };
     let (layer, traces, warning) =

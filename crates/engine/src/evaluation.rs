@@ -12,7 +12,7 @@ use crate::{LightRotation, LightRotations, NO_INDIRECT_BASIS, RasterCamera, Trai
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables};
-use relume_scene::{Camera, ColumnShift, MAX_LIGHTS, SplitLight};
+use relume_scene::{Camera, ColumnShift, SplitLight};
 
 /// The state as kernel input, without learned indirect light and with the light at rotation 0.
 pub fn source(state: &TrainState) -> AttributeSource<'_> {
@@ -98,9 +98,9 @@ pub fn normals(state: &TrainState) -> Vec<[f32; 3]> {
     outward_normals(&source(state))
 }
 
-/// Share of each of `lights` that arrives at every Gaussian.
-pub fn arriving(state: &TrainState, lights: &[SplitLight]) -> Vec<[f32; MAX_LIGHTS]> {
-    cpu::arriving(&source(state), lights)
+/// Share of each of `lights` that arrives at every Gaussian, `[light][Gaussian]`, 0..=1. The number of lights is not limited.
+pub fn light_shares(state: &TrainState, lights: &[SplitLight]) -> Vec<Vec<f32>> {
+    cpu::light_shares(&source(state), lights)
 }
 
 /// Exponent that approximates the display curve, for means of displayed colours.

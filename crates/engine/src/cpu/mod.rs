@@ -50,7 +50,7 @@ pub use lanes::{LANES, Lanes};
 pub use mixture::softmax_lanes;
 pub use pass::{Pass, attribute_rows, project_all};
 pub use point::{surface_point, surface_points};
-pub use probes::{Probes, arriving, outward_normals};
+pub use probes::{Probes, arriving, light_shares, outward_normals};
 pub use project::{Geometry, Splat, normalise, normalise_backward, rotation, rotation_backward};
 pub use rays::OccluderBvh;
 pub use resolve::{reflector, resolve};

@@ -24,21 +24,23 @@ pub struct Probes {
     pub hit: Vec<Vec<u32>>,
 }
 
-/// Transmittance from every Gaussian towards each light, `[light][Gaussian]`: the mean over the light's disc.
-fn light_transmittance(
-    source: &AttributeSource<'_>,
-    lights: &[SplitLight],
-    settings: ProbeSettings,
-) -> Vec<Vec<f32>> {
+/// Share of each light that arrives at every Gaussian, `[light][Gaussian]`, 0..=1: the mean transmittance over the light's disc,
+/// and 1 where the visibility form is `Off`.
+pub fn light_shares(source: &AttributeSource<'_>, lights: &[SplitLight]) -> Vec<Vec<f32>> {
+    let count = source.gaussians.len();
+    if source.options.visibility == VisibilityForm::Off {
+        return vec![vec![1.0; count]; lights.len()];
+    }
     let towards: Vec<Vec<Vec3>> = lights.iter().map(towards_light).collect();
+    let settings = ProbeSettings::of(source.options);
     let measured = Probes::measure(source, towards.concat(), settings).transmittance;
     let mut rest = measured.as_slice();
     let mean = |directions: &Vec<Vec3>| {
         let (of_light, others) = rest.split_at(directions.len());
         rest = others;
         let weight = 1.0 / directions.len() as f32;
-        let at = |i: usize| of_light.iter().map(|t| t[i]).sum::<f32>() * weight;
-        (0..source.gaussians.len()).map(at).collect()
+        let at = |i: usize| (of_light.iter().map(|t| t[i]).sum::<f32>() * weight).clamp(0.0, 1.0);
+        (0..count).map(at).collect()
     };
     towards.iter().map(mean).collect()
 }
@@ -49,8 +51,8 @@ pub fn arriving(source: &AttributeSource<'_>, lights: &[SplitLight]) -> Vec<[f32
     if lights.is_empty() || source.options.visibility == VisibilityForm::Off {
         return Vec::new();
     }
-    let measured = light_transmittance(source, lights, ProbeSettings::of(source.options));
-    let share = |k: usize, i: usize| measured.get(k).map_or(1.0, |of_light| of_light[i].clamp(0.0, 1.0));
+    let shares = light_shares(source, lights);
+    let share = |k: usize, i: usize| shares.get(k).map_or(1.0, |of_light| of_light[i]);
     (0..source.gaussians.len()).map(|i| std::array::from_fn(|k| share(k, i))).collect()
 }
 

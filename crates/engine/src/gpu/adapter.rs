@@ -1,5 +1,7 @@
 //! The adapters of this machine.
 
+use std::sync::LazyLock;
+
 use crate::adapter::AdapterReport;
 
 /// Workgroup memory that the kernels need, bytes.
@@ -8,6 +10,15 @@ pub(super) const WORKGROUP_MEMORY: u32 = 32 << 10;
 pub(super) const INVOCATIONS: u32 = 256;
 /// Storage buffers of the kernel with the most bindings.
 pub(super) const STORAGE_BUFFERS: u32 = 16;
+
+/// The instance of this process, which is never dropped. Dropping it would unload the driver, but drivers register destructors of
+/// thread-local data: with a driver of NVIDIA, each thread that had used the device and ended later crashed the process.
+static INSTANCE: LazyLock<wgpu::Instance> = LazyLock::new(|| {
+    wgpu::Instance::new(wgpu::InstanceDescriptor {
+        backends: wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12,
+        ..wgpu::InstanceDescriptor::new_without_display_handle()
+    })
+});
 
 impl AdapterReport {
     fn new(index: usize, adapter: &wgpu::Adapter) -> Self {
@@ -46,11 +57,7 @@ pub struct Adapters {
 impl Adapters {
     /// Finds the adapters. The list may be empty.
     pub fn find() -> Self {
-        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
-            backends: wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12,
-            ..wgpu::InstanceDescriptor::new_without_display_handle()
-        });
-        let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+        let adapters = pollster::block_on(INSTANCE.enumerate_adapters(wgpu::Backends::all()));
         let reports = adapters.iter().enumerate().map(|(i, a)| AdapterReport::new(i, a)).collect();
         Self { adapters, reports }
     }

@@ -39,6 +39,8 @@ const MIN_STRENGTH: f32 = 1.5;
 const MIN_GAIN: f32 = 0.04;
 /// Least share by which the variation must fall for a light to move.
 const MIN_MOVE_GAIN: f32 = 0.01;
+/// Number of lights that are measured together, which bounds the memory.
+const LIGHTS_AT_ONCE: usize = 32;
 /// Number of photographs in which visible Gaussians are determined.
 const PHOTOS: usize = 12;
 /// Least number of visible pixels of a Gaussian that is used.
@@ -91,12 +93,11 @@ struct LightSearch<'a> {
 }
 
 /// A tested light.
+#[derive(Debug, Clone, Copy)]
 struct LightCandidate {
     light: SplitLight,
     strength: [f32; 3],
     variation: f32,
-    /// Irradiance including the light.
-    irradiance: Vec<[f32; 3]>,
 }
 
 impl<'a> LightSearch<'a> {
@@ -140,11 +141,18 @@ impl<'a> LightSearch<'a> {
         previous: Option<&SplitLight>,
     ) -> Option<(DetectedLight, Vec<[f32; 3]>)> {
         let best = self.best(irradiance, previous)?;
-        let soft = self.evaluate(irradiance, best.light, self.soft_visibility(best.light));
+        let added = self.added_irradiance(best.light, &self.soft_visibility(best.light));
+        let soft = self.evaluate(irradiance, best.light, &added);
         let gain = 1.0 - best.variation / soft.variation.max(1e-12);
         let is_strong = best.strength.iter().sum::<f32>() >= 3.0 * MIN_STRENGTH;
-        let found = DetectedLight { light: best.light, strength: best.strength, gain };
-        (gain > MIN_GAIN && is_strong).then_some((found, best.irradiance))
+        if !(gain > MIN_GAIN && is_strong) {
+            return None;
+        }
+        let shares = evaluation::light_shares(self.state, &[best.light]).pop()?;
+        let added = self.added_irradiance(best.light, &shares);
+        let with = |(e, [a]): (&[f32; 3], &[f32; 1])| std::array::from_fn(|c| e[c] + best.strength[c] * a);
+        let irradiance = irradiance.iter().zip(&added).map(with).collect();
+        Some((DetectedLight { light: best.light, strength: best.strength, gain }, irradiance))
     }
 
     /// The best light in addition to `irradiance`: near the `previous` light, which moves only if another position is
@@ -161,67 +169,84 @@ impl<'a> LightSearch<'a> {
                 first
             }
         };
-        for start in &mut best {
-            self.refine(irradiance, start, if previous.is_some() { MIN_MOVE_GAIN } else { 0.0 });
-        }
+        self.refine(irradiance, &mut best, if previous.is_some() { MIN_MOVE_GAIN } else { 0.0 });
         best.into_iter().min_by(|a, b| a.variation.total_cmp(&b.variation))
     }
 
-    /// Moves `best` to nearby directions and radii that lower the variation by more than the share `least`.
-    fn refine(&self, irradiance: &[[f32; 3]], best: &mut LightCandidate, least: f32) {
-        let limit = (1.0 - least) * best.variation;
-        let take = |candidates: Vec<LightCandidate>, best: &mut LightCandidate| {
-            for trial in candidates.into_iter().filter(|t| t.variation < limit) {
-                if trial.variation < best.variation {
-                    *best = trial;
+    /// Moves each of `starts` to nearby directions and radii that lower its variation by more than the share `least`.
+    fn refine(&self, irradiance: &[[f32; 3]], starts: &mut [LightCandidate], least: f32) {
+        let limits: Vec<f32> = starts.iter().map(|start| (1.0 - least) * start.variation).collect();
+        for angle in FINER {
+            let near = |light: SplitLight| around(light.direction, angle).map(point).to_vec();
+            self.take_better(irradiance, starts, &limits, near);
+        }
+        let resized = |light: SplitLight| RADII.map(|radius| SplitLight { radius, ..light }).to_vec();
+        self.take_better(irradiance, starts, &limits, resized);
+    }
+
+    /// Replaces each of `starts` by the best of the lights `near` it, if that has less variation, and less than its limit.
+    /// All lights are tested together, so that all processors have work.
+    fn take_better(
+        &self,
+        irradiance: &[[f32; 3]],
+        starts: &mut [LightCandidate],
+        limits: &[f32],
+        near: impl Fn(SplitLight) -> Vec<SplitLight>,
+    ) {
+        let lights: Vec<Vec<SplitLight>> = starts.iter().map(|start| near(start.light)).collect();
+        let mut candidates = self.candidates(irradiance, &lights.concat()).into_iter();
+        for ((start, lights), limit) in starts.iter_mut().zip(&lights).zip(limits) {
+            for trial in candidates.by_ref().take(lights.len()) {
+                if trial.variation < *limit && trial.variation < start.variation {
+                    *start = trial;
                 }
             }
-        };
-        for angle in FINER {
-            take(self.candidates(irradiance, &around(best.light.direction, angle).map(point)), best);
         }
-        let radii = RADII.map(|radius| SplitLight { radius, ..best.light });
-        take(self.candidates(irradiance, &radii), best);
     }
 
     /// Evaluates `lights`, each at its best strength.
     fn candidates(&self, irradiance: &[[f32; 3]], lights: &[SplitLight]) -> Vec<LightCandidate> {
-        let arriving: Vec<(SplitLight, Vec<f32>)> = lights
-            .chunks(MAX_LIGHTS)
-            .flat_map(|lights| {
-                let shares = evaluation::arriving(self.state, lights);
-                let of = move |k: usize| shares.iter().map(|s| s[k]).collect();
-                lights.iter().enumerate().map(move |(k, light)| (*light, of(k))).collect::<Vec<_>>()
-            })
-            .collect();
-        arriving.into_par_iter().map(|(light, shares)| self.evaluate(irradiance, light, shares)).collect()
+        let evaluate = |lights: &[SplitLight]| -> Vec<LightCandidate> {
+            let shares = evaluation::light_shares(self.state, lights);
+            let tested = lights.par_iter().zip(&shares);
+            tested
+                .map(|(light, shares)| {
+                    self.evaluate(irradiance, *light, &self.added_irradiance(*light, shares))
+                })
+                .collect()
+        };
+        lights.chunks(LIGHTS_AT_ONCE).flat_map(evaluate).collect()
     }
 
-    /// Evaluates `light` at its best strength in each channel. `shares` are the shares of it that arrive at the
-    /// Gaussians.
-    fn evaluate(&self, irradiance: &[[f32; 3]], light: SplitLight, shares: Vec<f32>) -> LightCandidate {
+    /// Irradiance by `light` at strength 1. `shares`: the share of it that arrives at each Gaussian.
+    fn added_irradiance(&self, light: SplitLight, shares: &[f32]) -> Vec<[f32; 1]> {
         let cos = |n: &[f32; 3]| (0..3).map(|k| n[k] * light.direction[k]).sum::<f32>().max(0.0);
-        let added = shares.iter().zip(&self.normals);
-        let mut added: Vec<[f32; 1]> = added.map(|(share, n)| [share * cos(n)]).collect();
+        let mut added: Vec<[f32; 1]> =
+            shares.iter().zip(&self.normals).map(|(share, n)| [share * cos(n)]).collect();
         self.neighbours.smooth(&mut added);
+        added
+    }
+
+    /// Evaluates `light`, which adds `added` at strength 1, at its best strength in each channel.
+    fn evaluate(&self, irradiance: &[[f32; 3]], light: SplitLight, added: &[[f32; 1]]) -> LightCandidate {
         let (mut strength, mut variation) = ([0.0; 3], 0.0);
         for c in 0..3 {
-            let tried = STRENGTHS.map(|s| (self.variation(irradiance, c, &added, s), s));
-            let least = tried.into_iter().fold((f32::INFINITY, 0.0), |a, b| if b.0 < a.0 { b } else { a });
+            let tried = self.variations(irradiance, c, added).into_iter().zip(STRENGTHS);
+            let least = tried.fold((f32::INFINITY, 0.0), |a, b| if b.0 < a.0 { b } else { a });
             variation += least.0;
             strength[c] = least.1;
         }
-        let with = |(e, [a]): (&[f32; 3], &[f32; 1])| std::array::from_fn(|c| e[c] + strength[c] * a);
-        let irradiance = irradiance.iter().zip(&added).map(with).collect();
-        LightCandidate { light, strength, variation, irradiance }
+        LightCandidate { light, strength, variation }
     }
 
-    /// Variation of one channel with `strength * added` in addition to `irradiance`.
-    fn variation(&self, irradiance: &[[f32; 3]], c: usize, added: &[[f32; 1]], strength: f32) -> f32 {
-        let lit =
-            irradiance.iter().zip(added).map(|(e, [a])| (e[c] + strength * a).max(MIN_LOG_ARGUMENT).ln());
-        let logs: Vec<f32> = self.colours.iter().zip(lit).map(|(colour, lit)| colour[c] - lit).collect();
-        self.neighbours.variation(&logs)
+    /// Variation of one channel with `added` in addition to `irradiance`, at each of [`STRENGTHS`].
+    fn variations(&self, irradiance: &[[f32; 3]], c: usize, added: &[[f32; 1]]) -> [f32; STRENGTHS.len()] {
+        let lit = irradiance.iter().zip(added);
+        let of = |(colour, (e, [a])): (&[f32; 3], (&[f32; 3], &[f32; 1]))| {
+            STRENGTHS.map(|strength| colour[c] - (e[c] + strength * a).max(MIN_LOG_ARGUMENT).ln())
+        };
+        let logs: Vec<_> = self.colours.iter().zip(lit).map(of).collect();
+        self.neighbours.variations(&logs)
     }
 
     /// Shares of `light` that arrive through the visibility field.

@@ -66,11 +66,16 @@ impl Neighbours {
         }
     }
 
-    /// Weighted mean absolute difference of `values` between neighbours.
-    pub fn variation(&self, values: &[f32]) -> f32 {
-        let difference = |i: u32, j: u32| (values[i as usize] - values[j as usize]).abs();
-        let sum: f64 = self.pairs.iter().map(|(i, j, w)| f64::from(w * difference(*i, *j))).sum();
-        (sum / self.total) as f32
+    /// Weighted mean absolute differences of `values` between neighbours, one per column.
+    pub fn variations<const N: usize>(&self, values: &[[f32; N]]) -> [f32; N] {
+        let mut sums = [0.0f64; N];
+        for (i, j, w) in &self.pairs {
+            let (a, b) = (&values[*i as usize], &values[*j as usize]);
+            for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
+                *sum += f64::from(w * (a - b).abs());
+            }
+        }
+        sums.map(|sum| (sum / self.total) as f32)
     }
 }
 
@@ -94,11 +99,11 @@ mod tests {
         let g = row(60);
         let used: Vec<u32> = (0..60).collect();
         let pairs = Neighbours::of(&g, &used, &[1.0; 60]);
-        let step: Vec<f32> = (0..60).map(|i| f32::from(i >= 30)).collect();
-        let two: Vec<f32> = (0..60).map(|i| f32::from((20..40).contains(&i))).collect();
-        assert_eq!(pairs.variation(&[0.7; 60]), 0.0);
-        assert!(pairs.variation(&step) > 0.0);
-        assert!((pairs.variation(&two) / pairs.variation(&step) - 2.0).abs() < 0.2);
+        let columns = |i: i32| [0.7, f32::from(i >= 30), f32::from((20..40).contains(&i))];
+        let [even, step, two] = pairs.variations(&(0..60).map(columns).collect::<Vec<_>>());
+        assert_eq!(even, 0.0);
+        assert!(step > 0.0);
+        assert!((two / step - 2.0).abs() < 0.2);
     }
 
     #[test]

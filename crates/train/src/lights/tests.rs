@@ -40,10 +40,10 @@ fn plate(strength: f32) -> TrainState {
         Probes::measure(&evaluation::source(&state), fibonacci_sphere(256), ProbeSettings::default());
     let field = probes.coefficients(4);
     state.model.gaussians.field_mut(Field::Visibility).copy_from_slice(&field);
-    let sun = evaluation::arriving(&state, &[SplitLight { direction: SUN, radius: 0.0 }]);
+    let sun = &evaluation::light_shares(&state, &[SplitLight { direction: SUN, radius: 0.0 }])[0];
     let sky = LightSearch::new(&state, &from_above(&state), UNIT).sky();
     for i in 0..sky.len() {
-        let shown = srgb((0.1 * (sky[i][0] + strength * sun[i][0] * SUN[2])).min(0.9));
+        let shown = srgb((0.1 * (sky[i][0] + strength * sun[i] * SUN[2])).min(0.9));
         state.model.gaussians.row_mut(Field::Radiance, i).fill((shown - 0.5) / 0.282_094_8);
     }
     state

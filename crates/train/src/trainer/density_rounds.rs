@@ -42,6 +42,7 @@ impl Trainer {
             // The next step rolls back, and the schedule reaches this point again.
             return Ok(());
         }
+        let _span = tracing::info_span!("hide_unseen").entered();
         unseen::hide(&mut state, &self.data.cameras(PhotoSize::Half));
         Ok(self.engine.load(state)?)
     }

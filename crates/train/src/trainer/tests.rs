@@ -1,4 +1,5 @@
 use super::*;
+use crate::complexity;
 use crate::time_budget::{PlanChange, Timeline};
 use relume_capture::{SyntheticOptions, synthetic};
 use relume_compare::worst;

@@ -131,10 +131,13 @@ impl GpuTraining {
         let (gpu, model) = (&self.gpu, &self.state.model);
         let settings = ProbeSettings::of(&self.shape.shading);
         let directions = fibonacci_sphere(how.directions);
-        let probes =
-            probes::measure(gpu, &model.params, &model.layout, settings, &directions, self.sh_degree)?;
+        let probes = {
+            let _span = tracing::debug_span!("probes").entered();
+            probes::measure(gpu, &model.params, &model.layout, settings, &directions, self.sh_degree)?
+        };
         let lights = &self.operators.split().lights;
         let lights = LightProbes::measure(gpu, &model.params, &model.layout, &self.shape.shading, lights)?;
+        let _span = tracing::debug_span!("gather").entered();
         let mut pace = InFlightLimit::default();
         if let Some(bounces) = bounces {
             let source = AttributeSource::new(model);
