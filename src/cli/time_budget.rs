@@ -12,8 +12,8 @@ use relume_capture::{Capture, ImportLimits, Up};
 use relume_engine::Device;
 use relume_spec::training::{TrainConfig, TrainOverrides};
 use relume_train::time_budget::{
-    Pacing, PacingStart, Planning, RecordedPlan, StepCost, import_planned, measurement_limit, scaled_cost,
-    step_cost,
+    Pacing, PacingStart, Planning, RecordedPlan, StepCost, import_planned, measurement_limit, reduced,
+    scaled_cost, seconds, step_cost,
 };
 use relume_train::{MemoryBudget, Trainer};
 use std::sync::Arc;
@@ -90,10 +90,13 @@ pub(super) fn planned_capture(
     };
     let begun = clock.now();
     let (capture, config) = import(cost)?;
-    let seconds = clock.now() - begun;
+    let reading = clock.now() - begun;
     let scaled = scaled_cost(&capture, &config, cost, device, &|| clock.now(), 2.0 * limit)?;
-    let ratio = scaled.gaussian / cost.gaussian;
-    if SAME_COST.contains(&ratio) || seconds > READ_AGAIN_SHARE * budget {
+    let sizes: Vec<_> = capture.train.iter().map(|v| (v.image.width, v.image.height)).collect();
+    let photographs = reduced(&sizes, config.resolution);
+    let expected = |cost| seconds(&config, photographs, cost, finish_steps);
+    let ratio = expected(scaled) / expected(cost);
+    if SAME_COST.contains(&ratio) || reading > READ_AGAIN_SHARE * budget {
         return Ok((capture, config, scaled));
     }
     drop(capture);

@@ -162,6 +162,7 @@ impl TrainedCapture {
     ) -> Result<Report, EvalError> {
         let options =
             EvalOptions { lpips, views, frame_rate_time: Duration::ZERO, device, ..EvalOptions::default() };
+        let _span = tracing::info_span!("compare").entered();
         let is_held_out = !self.compared.test.is_empty();
         let swap = |capture: &mut Capture| {
             if !is_held_out {
@@ -183,6 +184,7 @@ impl TrainedCapture {
         file: &Path,
         progress: &ProgressReporter,
     ) -> CommandResult {
+        let _span = tracing::info_span!("contact_sheet").entered();
         let mut rows = SheetRows::choose(&self.compared, Some(report));
         if let Err(error) = rows.read_again(&self.path, self.up, &ImportLimits::default()) {
             progress.warning(&format!("the contact sheet shows photographs as small as trained: {error}"));

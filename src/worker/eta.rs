@@ -4,29 +4,11 @@
 //! Gaussians.
 
 use relume_spec::training::TrainConfig;
-use relume_train::time_budget::{ScheduleCost, StepCost};
-
-/// The relative cost of each step of a training.
-struct Costs(ScheduleCost);
-
-impl Costs {
-    /// Cost of the step after `step` steps, with its events.
-    fn of(&self, step: u32) -> f64 {
-        let cost = &self.0;
-        cost.step(step)
-            + cost.measurements_before(step)
-            + cost.measurements_after(step + 1)
-            + cost.restart(step)
-    }
-
-    fn from(&self, step: u32) -> f64 {
-        (step..self.0.positions()).map(|step| self.of(step)).sum()
-    }
-}
+use relume_train::time_budget::{PhotographCost, ScheduleCost, StepCost};
 
 /// The estimate, updated after each step.
 pub(super) struct Eta {
-    costs: Costs,
+    cost: ScheduleCost,
     step: u32,
     /// Cost of the remaining steps.
     left: f64,
@@ -39,13 +21,13 @@ pub(super) struct Eta {
 }
 
 impl Eta {
-    /// An estimate for a training of `config` on photographs of `pixels`, of which earlier attempts did `step` steps.
-    pub(super) fn new(config: &TrainConfig, pixels: f64, step: u32, now_ms: i64) -> Self {
-        let costs = Costs(ScheduleCost::new(config, pixels, StepCost::RELATIVE));
+    /// An estimate for a training of `config` on `photographs`, of which earlier attempts did `step` steps.
+    pub(super) fn new(config: &TrainConfig, photographs: PhotographCost, step: u32, now_ms: i64) -> Self {
+        let cost = ScheduleCost::new(config, photographs, StepCost::RELATIVE);
         let steps = f64::from((config.iterations / 20).clamp(40, 200));
         Self {
-            left: costs.from(step),
-            costs,
+            left: left_from(&cost, step),
+            cost,
             step,
             seen_ms: now_ms,
             recent_ms: 0.0,
@@ -58,12 +40,12 @@ impl Eta {
     pub(super) fn note(&mut self, step: u32, now_ms: i64) {
         // A rollback increases the number of remaining steps.
         let cost = if step > self.step {
-            let done: f64 = (self.step..step).map(|step| self.costs.of(step)).sum();
+            let done: f64 = (self.step..step).map(|step| self.cost.with_events(step)).sum();
             self.left -= done;
             done
         } else {
-            self.left = self.costs.from(step);
-            self.costs.of(self.step)
+            self.left = left_from(&self.cost, step);
+            self.cost.with_events(self.step)
         };
         self.step = step;
         self.recent_ms = self.recent_ms * self.memory + (now_ms - self.seen_ms).max(0) as f64;
@@ -76,6 +58,11 @@ impl Eta {
         let pace = self.recent_ms / self.recent_cost;
         pace.is_finite().then(|| (pace * self.left / 1e3).max(0.0))
     }
+}
+
+/// Cost of a training after `step` steps.
+fn left_from(cost: &ScheduleCost, step: u32) -> f64 {
+    (step..cost.positions()).map(|step| cost.with_events(step)).sum()
 }
 
 #[cfg(test)]
@@ -108,7 +95,8 @@ mod tests {
     /// The estimate after `done` steps and the estimate from the mean time per step, each divided by the true value.
     fn over_the_truth(config: &TrainConfig, pixels: f64, done: u32) -> (f64, f64) {
         let history = history(config, pixels);
-        let (mut now, mut eta) = (1e6, Eta::new(config, pixels, 0, 1_000_000));
+        let (mut now, mut eta) =
+            (1e6, Eta::new(config, PhotographCost { count: 60.0, pixels }, 0, 1_000_000));
         for (i, ms) in (1..=done).zip(&history) {
             now += ms;
             eta.note(i, now as i64);
@@ -142,7 +130,7 @@ mod tests {
     #[test]
     fn eta_accounts_for_rollbacks_and_resumed_steps() {
         let config = TrainConfig::preset(Preset::Draft);
-        let mut eta = Eta::new(&config, 1e4, 1000, 0);
+        let mut eta = Eta::new(&config, PhotographCost { count: 60.0, pixels: 1e4 }, 1000, 0);
         assert_eq!(eta.seconds(), None, "no step was recorded yet");
         for step in 1001..=1100 {
             eta.note(step, i64::from(step - 1000) * 10);

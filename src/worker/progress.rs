@@ -83,6 +83,7 @@ pub(super) async fn announce(claim: &dyn Claim, message: &str) -> Result<(), Job
 mod tests {
     use super::*;
     use relume_spec::training::{Preset, TrainConfig};
+    use relume_train::time_budget::PhotographCost;
 
     fn step(step: u32) -> (StepReport, Progress) {
         let report =
@@ -93,7 +94,8 @@ mod tests {
     #[test]
     fn events_of_a_planned_training_tell_the_plan() {
         let config = TrainConfig { iterations: 100, ..TrainConfig::preset(Preset::Draft) };
-        let mut reporter = ProgressReporter::new(Eta::new(&config, 1.0, 0, 0));
+        let mut reporter =
+            ProgressReporter::new(Eta::new(&config, PhotographCost { count: 1.0, pixels: 1.0 }, 0, 0));
         let mut at = |ms, n, told: Option<&str>, left| {
             reporter.plan(told.map(str::to_owned), left);
             let (report, progress) = step(n);
@@ -111,7 +113,8 @@ mod tests {
     #[test]
     fn events_are_throttled_but_the_last_step_is_always_sent() {
         let config = TrainConfig { iterations: 100, ..TrainConfig::preset(Preset::Draft) };
-        let mut reporter = ProgressReporter::new(Eta::new(&config, 1.0, 0, 0));
+        let mut reporter =
+            ProgressReporter::new(Eta::new(&config, PhotographCost { count: 1.0, pixels: 1.0 }, 0, 0));
         let mut at = |ms, n| {
             let (report, progress) = step(n);
             reporter.report(ms, &report, progress).is_some()

@@ -31,7 +31,7 @@ use relume_engine::Device;
 use relume_scene::Model;
 use relume_spec::training::TrainConfig;
 use relume_train::Trainer;
-use relume_train::time_budget::StepCost;
+use relume_train::time_budget::{PhotographCost, StepCost};
 use time_budget::{AttemptClock, AttemptPacing, planned_before};
 
 /// The state of one attempt between steps.
@@ -61,7 +61,7 @@ impl Worker {
         };
         let (now_ms, step) = (self.source.now_ms(), trainer.progress().step);
         let mut reporter =
-            ProgressReporter::new(Eta::new(trainer.config(), pixels_of(&capture), step, now_ms));
+            ProgressReporter::new(Eta::new(trainer.config(), photographs_of(&capture), step, now_ms));
         let checkpoint_every = trainer.config().checkpoint_every.max(1);
         let pacing = AttemptPacing::new(&mut trainer, &capture, clock, cost)?;
         reporter.plan(pacing.as_ref().map(|pacing| pacing.announcement(&trainer)), None);
@@ -220,10 +220,11 @@ impl TrainingAttempt<'_> {
     }
 }
 
-/// Mean number of pixels of a photograph.
-fn pixels_of(capture: &Capture) -> f64 {
+/// The photographs of a training, whose size is that of the capture.
+fn photographs_of(capture: &Capture) -> PhotographCost {
     let pixels = capture.train.iter().map(|view| view.image.len() as f64).sum::<f64>();
-    pixels / capture.train.len().max(1) as f64
+    let count = capture.train.len() as f64;
+    PhotographCost { count, pixels: pixels / count.max(1.0) }
 }
 
 /// A temporary failure of the source, e.g. on a full disk, must not discard the training. The next successful write shows whether

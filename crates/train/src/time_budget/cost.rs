@@ -1,7 +1,8 @@
 //! The time of steps and events at each position of a schedule.
 //!
 //! A step with both branches takes `fixed + pixel * pixels + gaussian * Gaussians`. Radiance alone takes a constant
-//! share of it. Measurements of the visibility and restarts of the materials are events of their own.
+//! share of it. Measurements of the visibility, restarts of the materials and comparisons with all photographs are events of
+//! their own.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,8 +17,28 @@ const PIXEL: f64 = 0.45;
 const SHADED: f64 = 2.25;
 /// Cost of one probe of a Gaussian in one direction, relative to a Gaussian in a step of the radiance branch.
 const PROBE: f64 = 0.4;
-/// Cost of a search for dominant lights relative to one measurement of the visibility.
-const LIGHTS: f64 = 5.0;
+/// Cost of a search for dominant lights per Gaussian, in probes on the host: about 320 tested directions, and the evaluation of the lights.
+const SEARCH_PROBES: f64 = 400.0;
+/// Cost per Gaussian of comparing one photograph with its render on the host, in probes on the host.
+const COMPARISON_PROBES: f64 = 1.25;
+
+/// Time of one probe, the transmittance from one Gaussian in one direction, seconds or relative.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ProbeCost {
+    /// On the device, in a measurement of the visibility.
+    pub device: f64,
+    /// On all processors of the host, which search for lights and compare photographs.
+    pub host: f64,
+}
+
+/// The photographs of a training.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PhotographCost {
+    /// Number of photographs.
+    pub count: f64,
+    /// Mean number of pixels of a photograph.
+    pub pixels: f64,
+}
 
 /// The cost of a step with both branches: `fixed + pixel * pixels + gaussian * Gaussians`, seconds or relative.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -28,11 +49,14 @@ pub struct StepCost {
     pub pixel: f64,
     /// Per Gaussian.
     pub gaussian: f64,
+    /// The cost of probes, if it was measured. Otherwise it has the ratio to `gaussian` that it has on the CPU engine.
+    #[serde(default)]
+    pub probes: Option<ProbeCost>,
 }
 
 impl StepCost {
     /// Relative cost on the CPU engine. A Gaussian in a step of the radiance branch is 1.
-    pub const RELATIVE: Self = Self { fixed: 0.0, pixel: SHADED * PIXEL, gaussian: SHADED };
+    pub const RELATIVE: Self = Self { fixed: 0.0, pixel: SHADED * PIXEL, gaussian: SHADED, probes: None };
 
     /// The cost through three measured steps of `(pixels, Gaussians, seconds)`: the first small, the second with more
     /// pixels, the third with more Gaussians. Noise may make a coefficient negative; it is then at least a hundredth of
@@ -48,13 +72,22 @@ impl StepCost {
         let pixel = slope(pixels.0 - small.0, pixels.2 - small.2, pace * Self::RELATIVE.pixel);
         let gaussian = slope(gaussians.1 - small.1, gaussians.2 - small.2, pace * Self::RELATIVE.gaussian);
         let fixed = (small.2 - pixel * small.0 - gaussian * small.1).max(0.0);
-        Some(Self { fixed, pixel, gaussian })
+        Some(Self { fixed, pixel, gaussian, probes: None })
     }
 
     /// All coefficients times `factor`.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
-        Self { fixed: factor * self.fixed, pixel: factor * self.pixel, gaussian: factor * self.gaussian }
+        let probes =
+            self.probes.map(|cost| ProbeCost { device: factor * cost.device, host: factor * cost.host });
+        let Self { fixed, pixel, gaussian, .. } = *self;
+        Self { fixed: factor * fixed, pixel: factor * pixel, gaussian: factor * gaussian, probes }
+    }
+
+    /// The cost of probes.
+    fn probe(&self) -> ProbeCost {
+        let as_on_the_cpu = PROBE / SHADED * self.gaussian;
+        self.probes.unwrap_or(ProbeCost { device: as_on_the_cpu, host: as_on_the_cpu })
     }
 
     /// The cost at a size.
@@ -67,14 +100,14 @@ impl StepCost {
 #[derive(Debug, Clone)]
 pub struct ScheduleCost {
     config: TrainConfig,
-    pixels: f64,
+    photographs: PhotographCost,
     step: StepCost,
 }
 
 impl ScheduleCost {
-    /// The cost of a training with `config` on photographs of `pixels` in the mean.
-    pub fn new(config: &TrainConfig, pixels: f64, step: StepCost) -> Self {
-        Self { config: config.clone(), pixels, step }
+    /// The cost of a training with `config` on `photographs`.
+    pub fn new(config: &TrainConfig, photographs: PhotographCost, step: StepCost) -> Self {
+        Self { config: config.clone(), photographs, step }
     }
 
     /// Number of positions.
@@ -86,11 +119,20 @@ impl ScheduleCost {
     pub fn step(&self, position: u32) -> f64 {
         let config = &self.config;
         let pixels = match schedule::photo_size(config, position) {
-            PhotoSize::Half => self.pixels / 4.0,
-            PhotoSize::Full => self.pixels,
+            PhotoSize::Half => self.photographs.pixels / 4.0,
+            PhotoSize::Full => self.photographs.pixels,
         };
         let whole = self.step.of(pixels, self.gaussians(position));
         if position >= config.warm_up_steps() { whole } else { whole / SHADED }
+    }
+
+    /// Cost of the step at a position, with its events.
+    pub fn with_events(&self, position: u32) -> f64 {
+        self.step(position)
+            + self.measurements_before(position)
+            + self.measurements_after(position + 1)
+            + self.restart(position)
+            + self.comparison(position)
     }
 
     /// Cost of a step at the end of the schedule.
@@ -123,7 +165,18 @@ impl ScheduleCost {
             return 0.0;
         }
         let searches = self.config.lights > 0 && self.config.light.is_none();
-        self.measurement(position) * (1.0 + if searches { LIGHTS } else { 0.0 })
+        let search = SEARCH_PROBES * self.step.probe().host * self.gaussians(position);
+        self.measurement(position) + if searches { search } else { 0.0 }
+    }
+
+    /// Cost of comparing all photographs with renders on the host, before the step at a position: for their exposures, and for
+    /// the Gaussians that none of them shows.
+    pub fn comparison(&self, position: u32) -> f64 {
+        let config = &self.config;
+        let rounds = [config.is_exposure_round(position), position == schedule::hiding(config)];
+        let count = rounds.into_iter().filter(|is_due| *is_due).count() as f64;
+        let views = count * self.photographs.count * self.gaussians(position);
+        COMPARISON_PROBES * self.step.probe().host * views
     }
 
     /// Steps that train materials so far, if visibility is measured there.
@@ -134,8 +187,7 @@ impl ScheduleCost {
 
     /// Cost of one measurement of the visibility.
     fn measurement(&self, position: u32) -> f64 {
-        let probes = self.gaussians(position) * f64::from(self.config.probe_directions);
-        PROBE / SHADED * self.step.gaussian * probes
+        self.step.probe().device * self.gaussians(position) * f64::from(self.config.probe_directions)
     }
 
     /// Estimated number of Gaussians at a position: growth by density control up to its limit.
@@ -156,7 +208,7 @@ mod tests {
 
     #[test]
     fn the_cost_through_exact_measurements_is_the_cost() {
-        let truth = StepCost { fixed: 0.004, pixel: 2e-7, gaussian: 3e-6 };
+        let truth = StepCost { fixed: 0.004, pixel: 2e-7, gaussian: 3e-6, probes: None };
         let at = |pixels: f64, gaussians: f64| (pixels, gaussians, truth.of(pixels, gaussians));
         let found = StepCost::through([at(2e3, 1e3), at(2e4, 1e3), at(2e3, 8e3)]).unwrap();
         for (found, truth) in
@@ -178,7 +230,8 @@ mod tests {
     #[test]
     fn events_cost_only_where_the_schedule_has_them() {
         let config = TrainConfig::preset(Preset::Draft);
-        let cost = ScheduleCost::new(&config, 1e4, StepCost::RELATIVE);
+        let photographs = PhotographCost { count: 50.0, pixels: 1e4 };
+        let cost = ScheduleCost::new(&config, photographs, StepCost::RELATIVE);
         let at: Vec<u32> = (0..config.iterations).filter(|p| cost.restart(*p) > 0.0).collect();
         assert_eq!(at, [375 + 112, 375 + 337, 375 + 562]);
         let measured: Vec<u32> =
@@ -187,5 +240,28 @@ mod tests {
         let rounds: Vec<u32> = (0..config.iterations).filter(|p| cost.measurements_after(*p) > 0.0).collect();
         assert_eq!((rounds[0], rounds[rounds.len() - 1]), (400, 900));
         assert!(cost.step(300) < cost.step(400), "radiance alone takes less");
+        let compared: Vec<u32> = (0..config.iterations).filter(|p| cost.comparison(*p) > 0.0).collect();
+        assert_eq!(compared, [375 + 225, 375 + 337, 375 + 450, 375 + 562, 1_200]);
+    }
+
+    #[test]
+    fn measured_probes_replace_the_ratios_of_the_cpu_engine() {
+        let config = TrainConfig::preset(Preset::High);
+        let at = |probes| {
+            let step = StepCost { probes, ..StepCost::RELATIVE };
+            let cost = ScheduleCost::new(&config, PhotographCost { count: 80.0, pixels: 1e5 }, step);
+            let sum = |of: &dyn Fn(u32) -> f64| (0..config.iterations).map(of).sum::<f64>();
+            [sum(&|p| cost.measurements_before(p)), sum(&|p| cost.restart(p)), sum(&|p| cost.comparison(p))]
+        };
+        let [usual, slow_device, slow_host] = [
+            at(Some(ProbeCost { device: PROBE, host: PROBE })),
+            at(Some(ProbeCost { device: 10.0 * PROBE, host: PROBE })),
+            at(Some(ProbeCost { device: PROBE, host: 10.0 * PROBE })),
+        ];
+        assert_eq!(usual, at(None));
+        let is = |ratio: f64, expected: f64| (ratio / expected - 1.0).abs() < 1e-9;
+        assert!(is(slow_device[0] / usual[0], 10.0) && is(slow_host[0] / usual[0], 1.0));
+        assert!(is(slow_device[2] / usual[2], 1.0) && is(slow_host[2] / usual[2], 10.0));
+        assert!(slow_device[1] > 2.0 * usual[1] && slow_host[1] > 5.0 * usual[1], "both are in a restart");
     }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::memory::{self, MemoryBudget, PhotographSizes};
 use crate::time_budget::cost::StepCost;
-use crate::time_budget::plan::{mean_pixels, settings_for, with_steps_for};
+use crate::time_budget::plan::{reduced, settings_for, with_steps_for};
 use crate::{TrainError, import_in_world};
 use relume_capture::{Capture, ImportLimits, ImportOptions, UndecodedCapture, Up};
 use relume_spec::training::{ConfigError, TrainConfig, TrainOverrides};
@@ -53,8 +53,8 @@ pub fn import_planned(
     let capture = import_in_world(path, &chosen, up, limits, memory)?;
     let trained: Vec<(u32, u32)> =
         capture.train.iter().map(|view| (view.image.width, view.image.height)).collect();
-    let pixels = mean_pixels(&trained, chosen.resolution);
-    Ok((capture, with_steps_for(&chosen, pixels, cost, budget - now(), finish_steps)))
+    let photographs = reduced(&trained, chosen.resolution);
+    Ok((capture, with_steps_for(&chosen, photographs, cost, budget - now(), finish_steps)))
 }
 
 fn invalid(error: ConfigError) -> TrainError {

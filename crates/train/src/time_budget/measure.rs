@@ -1,10 +1,12 @@
 //! Measures the cost of a training step on a device, with three small trainings of a synthetic scene.
+//!
+//! On a GPU the cost of probes is measured as well. On the CPU engine it has a known ratio to that of a step.
 
 use crate::TrainError;
 use std::ops::RangeInclusive;
 
-use crate::time_budget::cost::StepCost;
-use crate::time_budget::plan::mean_pixels;
+use crate::time_budget::cost::{ProbeCost, StepCost};
+use crate::time_budget::plan::reduced;
 use crate::trainer::Trainer;
 use relume_capture::{Capture, SyntheticOptions, SyntheticScene, synthetic};
 use relume_engine::Device;
@@ -17,6 +19,9 @@ const UNMEASURED: u32 = 2;
 /// Fewest and most measured steps of a training.
 const FEWEST: u32 = 2;
 const MOST: u32 = 40;
+/// Directions of a measurement of the visibility if its time does not matter, and if it is timed on photographs.
+const UNTIMED_DIRECTIONS: u32 = 8;
+const TIMED_DIRECTIONS: u32 = 32;
 /// Accepted ratios of the time on photographs to the time on the synthetic scene.
 const SCALES: RangeInclusive<f64> = 0.25..=4.0;
 
@@ -32,16 +37,28 @@ pub fn measurement_limit(budget: f64) -> f64 {
 /// [`TrainError::Device`] if the device failed, [`TrainError::Invalid`] if the clock does not advance.
 pub fn step_cost(device: &Device, now: &dyn Fn() -> f64, limit: f64) -> Result<StepCost, TrainError> {
     let mut measured = [(0.0, 0.0, 0.0); 3];
+    let mut probes = None;
     for (measured, (size, gaussians)) in measured.iter_mut().zip(TRAININGS) {
-        let seconds = step_seconds(device, size, gaussians, now, limit)?;
+        let mut trainer = Trainer::new(&scene(size)?, config(size, gaussians)?, device)?;
+        let seconds = seconds_of(&mut trainer, now, limit)?;
         *measured = (f64::from(size).powi(2), f64::from(gaussians), seconds);
+        probes = probes_of(&mut trainer, device, now)?;
     }
     let stands = || {
         TrainError::Invalid(
             "time_budget_s: the clock of this machine does not advance; use a preset instead".into(),
         )
     };
-    StepCost::through(measured).ok_or_else(stands)
+    StepCost::through(measured).map(|cost| StepCost { probes, ..cost }).ok_or_else(stands)
+}
+
+/// The cost of probes in the state of `trainer`; `None` on the CPU engine.
+fn probes_of(
+    trainer: &mut Trainer,
+    device: &Device,
+    now: &dyn Fn() -> f64,
+) -> Result<Option<ProbeCost>, TrainError> {
+    if device.is_gpu() { trainer.probe_cost(now) } else { Ok(None) }
 }
 
 /// `cost`, scaled to steps on the photographs of `capture` at the size and with the Gaussians that `planned` has at its
@@ -63,7 +80,7 @@ pub fn scaled_cost(
         warm_up: 0.0,
         half_resolution: 0.0,
         iterations: 1_000_000,
-        probe_directions: 8,
+        probe_directions: if device.is_gpu() { TIMED_DIRECTIONS } else { UNTIMED_DIRECTIONS },
         lights: 0,
         match_exposures: false,
         crop: Crop::NONE,
@@ -79,19 +96,9 @@ pub fn scaled_cost(
     let gaussians = trainer.model()?.gaussians.len() as f64;
     let seconds = seconds_of(&mut trainer, now, limit)?;
     let sizes: Vec<_> = capture.train.iter().map(|v| (v.image.width, v.image.height)).collect();
-    let expected = cost.of(mean_pixels(&sizes, planned.resolution), gaussians);
-    Ok(cost.scaled((seconds / expected).clamp(*SCALES.start(), *SCALES.end())))
-}
-
-/// Mean time of a step on photographs of `size` x `size` pixels, seconds.
-fn step_seconds(
-    device: &Device,
-    size: u32,
-    gaussians: u32,
-    now: &dyn Fn() -> f64,
-    limit: f64,
-) -> Result<f64, TrainError> {
-    seconds_of(&mut Trainer::new(&scene(size)?, config(size, gaussians)?, device)?, now, limit)
+    let expected = cost.of(reduced(&sizes, planned.resolution).pixels, gaussians);
+    let scaled = cost.scaled((seconds / expected).clamp(*SCALES.start(), *SCALES.end()));
+    Ok(StepCost { probes: probes_of(&mut trainer, device, now)?, ..scaled })
 }
 
 /// Mean time of a step of `trainer` after its first ones, seconds.
@@ -133,7 +140,7 @@ fn config(size: u32, gaussians: u32) -> Result<TrainConfig, TrainError> {
         warm_up: Some(0.0),
         half_resolution: Some(0.0),
         iterations: Some(1_000_000),
-        probe_directions: Some(8),
+        probe_directions: Some(UNTIMED_DIRECTIONS),
         lights: Some(0),
         ..TrainOverrides::default()
     };

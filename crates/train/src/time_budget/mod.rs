@@ -15,11 +15,11 @@ mod record;
 mod timeline;
 mod watch;
 
-pub use cost::{ScheduleCost, StepCost};
+pub use cost::{PhotographCost, ProbeCost, ScheduleCost, StepCost};
 pub use import::{Planning, import_planned};
 pub use measure::{measurement_limit, scaled_cost, step_cost};
 pub use pacing::{BudgetState, Pacing, PacingStart};
-pub use plan::announcement;
+pub use plan::{announcement, reduced, seconds};
 pub use record::RecordedPlan;
 pub(crate) use record::card as plan_card;
 pub use timeline::{PlanChange, Timeline};

@@ -1,6 +1,6 @@
 //! Plans the remaining steps of a training again, so that it ends at the end of its time budget.
 //!
-//! The time of steps, measurements and restarts is measured separately, each relative to its cost
+//! The time of steps, measurements, restarts and comparisons is measured separately, each relative to its cost
 //! ([`ScheduleCost`]). The number of events is fixed by the schedule; only the number of steps follows the time.
 
 use std::ops::RangeInclusive;
@@ -24,8 +24,8 @@ const STRETCH: RangeInclusive<f64> = 0.05..=50.0;
 /// estimate, and a wrong early plan skips steps that no later plan can restore.
 const LARGEST_CHANGE: f64 = 2.0;
 /// Cost of a restart relative to its prior in [`ScheduleCost`], until one was measured. Restarts of real captures took
-/// 1.3 to 1.9 times the prior.
-const RESTART_PRIOR: f64 = 1.6;
+/// 1.1 to 1.6 times the prior.
+const RESTART_PRIOR: f64 = 1.3;
 /// Share of the schedule from which no new plan is made: there are too few steps left.
 const LAST_PLAN: f64 = 0.98;
 /// The reason that the plan records.
@@ -37,6 +37,7 @@ struct Rates {
     step: Rate,
     measurement: Rate,
     restart: Rate,
+    comparison: Rate,
 }
 
 /// What remains of a training, in seconds by the current rates.
@@ -44,7 +45,7 @@ struct Rates {
 struct Remaining {
     /// One step at each remaining position.
     steps: f64,
-    /// Measurements and restarts.
+    /// Measurements, restarts and comparisons.
     events: f64,
 }
 
@@ -83,6 +84,7 @@ impl Pacer {
             measurement: Rate::new(memory),
             // A training has at most five restarts. The newest one has the largest weight.
             restart: Rate::new(memory),
+            comparison: Rate::new(memory),
         };
         let next_plan = now + (MEASURED * budget).max(1.0);
         let (last, last_step, start) = (now, step, (now, step));
@@ -116,17 +118,20 @@ impl Pacer {
             return;
         }
         let work = self.work(timeline, before);
-        let has_events = work.measurement > 0.0 || work.restart > 0.0;
-        if !has_events {
+        if !work.has_events() {
             return self.rates.step.record(seconds, work.step);
         }
         let Some(rate) = self.rates.step.per_cost() else { return };
-        let rest = (seconds - rate * work.step).max(0.0);
+        // One kind of event gets the time that the others are not expected to take.
+        let expected = self.expected(work, rate);
+        let rest = |of: f64| (seconds - (expected.total() - of)).max(0.0);
         if work.restart > 0.0 {
-            let measured = work.measurement * self.measurement_rate(rate);
-            return self.rates.restart.record((rest - measured).max(0.0), work.restart);
+            self.rates.restart.record(rest(expected.restart), work.restart);
+        } else if work.comparison > 0.0 {
+            self.rates.comparison.record(rest(expected.comparison), work.comparison);
+        } else {
+            self.rates.measurement.record(rest(expected.measurement), work.measurement);
         }
-        self.rates.measurement.record(rest, work.measurement);
     }
 
     /// Time passes that belongs to no step.
@@ -197,29 +202,35 @@ impl Pacer {
             step: cost.step(timeline.position(step)),
             measurement: before.clone().map(|p| cost.measurements_before(p)).sum::<f64>()
                 + after.map(|p| cost.measurements_after(p)).sum::<f64>(),
-            restart: before.map(|p| cost.restart(p)).sum(),
+            restart: before.clone().map(|p| cost.restart(p)).sum(),
+            comparison: before.map(|p| cost.comparison(p)).sum(),
+        }
+    }
+
+    /// Expected seconds of `work`, given the rate of steps.
+    fn expected(&self, work: Work, step: f64) -> Work {
+        let rates = &self.rates;
+        let rate = |rate: &Rate, prior: f64| rate.per_cost().unwrap_or(prior * step);
+        Work {
+            step: step * work.step,
+            measurement: rate(&rates.measurement, 1.0) * work.measurement,
+            restart: rate(&rates.restart, RESTART_PRIOR) * work.restart,
+            comparison: rate(&rates.comparison, 1.0) * work.comparison,
         }
     }
 
     /// What remains after `step` steps; `None` before the first measured step.
     fn remaining(&self, timeline: &Timeline, step: u32) -> Option<Remaining> {
         let rate = self.rates.step.per_cost()?;
-        let measurement = self.measurement_rate(rate);
-        let restart = self.rates.restart.per_cost().unwrap_or(rate * RESTART_PRIOR);
         // The events of the current position are still to come.
         let first = match timeline.covered(step) {
             range if range.is_empty() => timeline.position(step) + 1,
             range => *range.start(),
         };
         let from = |position: u32| self.left[(position as usize).min(self.left.len() - 1)];
-        let (Work { step: steps, .. }, events) = (from(timeline.position(step)), from(first));
-        let events = measurement * events.measurement + restart * events.restart;
+        let steps = from(timeline.position(step)).step;
+        let events = self.expected(Work { step: 0.0, ..from(first) }, rate).total();
         Some(Remaining { steps: rate * steps, events })
-    }
-
-    /// Rate of measurements, given that of steps.
-    fn measurement_rate(&self, step: f64) -> f64 {
-        self.rates.measurement.per_cost().unwrap_or(step)
     }
 
     /// Time after the last step, seconds.
@@ -229,12 +240,23 @@ impl Pacer {
     }
 }
 
-/// Relative cost of steps, and of the events before and after them.
+/// Relative cost, or seconds, of steps, and of the events before and after them.
 #[derive(Debug, Clone, Copy, Default)]
 struct Work {
     step: f64,
     measurement: f64,
     restart: f64,
+    comparison: f64,
+}
+
+impl Work {
+    fn has_events(self) -> bool {
+        self.measurement > 0.0 || self.restart > 0.0 || self.comparison > 0.0
+    }
+
+    fn total(self) -> f64 {
+        self.step + self.measurement + self.restart + self.comparison
+    }
 }
 
 /// The cost from each position to the end of the schedule.
@@ -248,6 +270,7 @@ fn left_from(cost: &ScheduleCost) -> Vec<Work> {
                 + cost.measurements_before(position)
                 + cost.measurements_after(position + 1),
             restart: after.restart + cost.restart(position),
+            comparison: after.comparison + cost.comparison(position),
         };
     }
     left

@@ -9,7 +9,7 @@ use crate::eval::{EvalError, NovelViews, evenly_spaced};
 use crate::render::RenderError;
 use crate::time_budget::cost::{ScheduleCost, StepCost};
 use crate::time_budget::pacer::{Pacer, WHY_TIME};
-use crate::time_budget::plan::{announcement, mean_pixels};
+use crate::time_budget::plan::{announcement, reduced};
 use crate::time_budget::timeline::PlanChange;
 use crate::time_budget::watch::{self, LAST_TENTH, Watch};
 use crate::trainer::Trainer;
@@ -81,7 +81,7 @@ impl Pacing {
         let cost = start.cost.or(trainer.budget().map(|budget| budget.cost)).unwrap_or(StepCost::RELATIVE);
         let mut pacer = config.time_budget_s.map(|budget| {
             let sizes: Vec<_> = capture.train.iter().map(|v| (v.image.width, v.image.height)).collect();
-            let cost = ScheduleCost::new(config, mean_pixels(&sizes, config.resolution), cost);
+            let cost = ScheduleCost::new(config, reduced(&sizes, config.resolution), cost);
             Pacer::new(f64::from(budget), cost, start.now, step, start.finish_steps)
         });
         // A resumed training that has met its stop condition completes its schedule.

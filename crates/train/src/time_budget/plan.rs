@@ -1,6 +1,6 @@
 //! Chooses pixels, Gaussians and steps for a time budget, as a position on the curve of presets.
 
-use crate::time_budget::cost::{ScheduleCost, StepCost};
+use crate::time_budget::cost::{PhotographCost, ScheduleCost, StepCost};
 use relume_spec::training::{CURVE, ConfigError, TrainConfig, TrainOverrides};
 
 /// Most steps, as a share of the steps of the position. More steps gain little; the planner uses them only at the upper
@@ -11,37 +11,35 @@ const STRIDE: f32 = 0.025;
 /// Fewest steps of any plan.
 const FEWEST: u32 = 60;
 
-/// Mean number of pixels of photographs of these sizes, with the longest side reduced to `resolution`.
-pub fn mean_pixels(sizes: &[(u32, u32)], resolution: u32) -> f64 {
+/// Photographs of these sizes, with the longest side reduced to `resolution`.
+pub fn reduced(sizes: &[(u32, u32)], resolution: u32) -> PhotographCost {
     let pixels = |&(width, height): &(u32, u32)| {
         let longest = f64::from(width.max(height)).max(1.0);
         let scale = (f64::from(resolution) / longest).min(1.0);
         f64::from(width) * f64::from(height) * scale * scale
     };
-    sizes.iter().map(pixels).sum::<f64>() / sizes.len().max(1) as f64
+    let count = sizes.len() as f64;
+    PhotographCost { count, pixels: sizes.iter().map(pixels).sum::<f64>() / count.max(1.0) }
 }
 
-/// Seconds that a training takes with its finish, by the cost of its steps.
-fn seconds(config: &TrainConfig, pixels: f64, cost: StepCost, finish_steps: f64) -> f64 {
-    let cost = ScheduleCost::new(config, pixels, cost);
-    let of = |p: u32| {
-        cost.step(p) + cost.measurements_before(p) + cost.measurements_after(p + 1) + cost.restart(p)
-    };
-    (0..config.iterations).map(of).sum::<f64>() + finish_steps * cost.last_step()
+/// Seconds that a training of `photographs` takes with the work after its last step, by the cost of its steps.
+pub fn seconds(config: &TrainConfig, photographs: PhotographCost, cost: StepCost, finish_steps: f64) -> f64 {
+    let cost = ScheduleCost::new(config, photographs, cost);
+    (0..config.iterations).map(|p| cost.with_events(p)).sum::<f64>() + finish_steps * cost.last_step()
 }
 
-/// `config` with the number of steps that fills `left` seconds, for photographs of `pixels` in the mean: at least 60 steps, at most 20
-/// times those of `config`.
+/// `config` with the number of steps that fills `left` seconds, for these photographs: at least 60 steps, at most 20 times
+/// those of `config`.
 pub fn with_steps_for(
     config: &TrainConfig,
-    pixels: f64,
+    photographs: PhotographCost,
     cost: StepCost,
     left: f64,
     finish_steps: f64,
 ) -> TrainConfig {
     let on_curve = f64::from(config.iterations);
     let with = |iterations| TrainConfig { iterations, ..config.clone() };
-    let fits = |iterations| seconds(&with(iterations), pixels, cost, finish_steps) <= left;
+    let fits = |iterations| seconds(&with(iterations), photographs, cost, finish_steps) <= left;
     let (mut low, mut high) = (FEWEST, ((MOST_STEPS * on_curve) as u32).max(FEWEST + 1));
     while high - low > 1 + low / 200 {
         let middle = low + (high - low) / 2;
@@ -67,8 +65,8 @@ pub fn settings_for(
     let strides = ((CURVE.end() - CURVE.start()) / STRIDE).round() as u32;
     for stride in (1..=strides).rev() {
         let config = TrainConfig::at(CURVE.start() + stride as f32 * STRIDE, overrides)?;
-        let pixels = mean_pixels(sizes, config.resolution);
-        if seconds(&config, pixels, cost, finish_steps) <= left && is_possible(&config) {
+        let photographs = reduced(sizes, config.resolution);
+        if seconds(&config, photographs, cost, finish_steps) <= left && is_possible(&config) {
             return Ok(config);
         }
     }
@@ -112,11 +110,17 @@ fn in_words(seconds: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::time_budget::cost::ProbeCost;
 
     /// Two cores of a server.
-    const CPU: StepCost = StepCost { fixed: 1e-3, pixel: 1.4e-6, gaussian: 3.2e-6 };
+    const CPU: StepCost = StepCost { fixed: 1e-3, pixel: 1.4e-6, gaussian: 3.2e-6, probes: None };
     /// A large graphics card.
-    const GPU: StepCost = StepCost { fixed: 2e-3, pixel: 4e-9, gaussian: 1e-8 };
+    const GPU: StepCost = StepCost {
+        fixed: 2e-3,
+        pixel: 4e-9,
+        gaussian: 1e-8,
+        probes: Some(ProbeCost { device: 1.5e-8, host: 6e-8 }),
+    };
     const PHONE: [(u32, u32); 50] = [(1_080, 1_920); 50];
 
     fn planned(overrides: &TrainOverrides, sizes: &[(u32, u32)], cost: StepCost, left: f64) -> TrainConfig {
@@ -124,7 +128,7 @@ mod tests {
     }
 
     fn filled(config: &TrainConfig, sizes: &[(u32, u32)], cost: StepCost, left: f64) -> TrainConfig {
-        with_steps_for(config, mean_pixels(sizes, config.resolution), cost, left, 40.0)
+        with_steps_for(config, reduced(sizes, config.resolution), cost, left, 40.0)
     }
 
     #[test]
@@ -143,8 +147,7 @@ mod tests {
     fn a_plan_fills_its_time() {
         for (cost, left) in [(CPU, 120.0), (CPU, 1_200.0), (GPU, 120.0)] {
             let config = planned(&TrainOverrides::default(), &PHONE, cost, left);
-            let pixels = mean_pixels(&PHONE, config.resolution);
-            let predicted = seconds(&config, pixels, cost, 40.0);
+            let predicted = seconds(&config, reduced(&PHONE, config.resolution), cost, 40.0);
             assert!((0.95..=1.0).contains(&(predicted / left)), "{predicted} of {left}");
         }
     }
@@ -178,9 +181,9 @@ mod tests {
 
     #[test]
     fn photographs_are_counted_at_the_reduced_size() {
-        assert_eq!(mean_pixels(&[(100, 50), (50, 100)], 200), 5_000.0);
-        assert_eq!(mean_pixels(&[(400, 200)], 100), 5_000.0);
-        assert_eq!(mean_pixels(&[], 100), 0.0);
+        assert_eq!(reduced(&[(100, 50), (50, 100)], 200), PhotographCost { count: 2.0, pixels: 5_000.0 });
+        assert_eq!(reduced(&[(400, 200)], 100).pixels, 5_000.0);
+        assert_eq!(reduced(&[], 100), PhotographCost { count: 0.0, pixels: 0.0 });
     }
 
     #[test]

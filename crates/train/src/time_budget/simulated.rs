@@ -1,8 +1,8 @@
 //! Tests with simulated machines: trainings end in time on fast, slow and changing machines.
 
-use crate::time_budget::cost::{ScheduleCost, StepCost};
+use crate::time_budget::cost::{PhotographCost, ProbeCost, ScheduleCost, StepCost};
 use crate::time_budget::pacer::Pacer;
-use crate::time_budget::plan::{mean_pixels, settings_for, with_steps_for};
+use crate::time_budget::plan::{reduced, settings_for, with_steps_for};
 use crate::time_budget::timeline::{PlanChange, Timeline};
 use relume_spec::training::{TrainConfig, TrainOverrides};
 
@@ -29,12 +29,14 @@ struct Machine {
 
 impl Machine {
     fn truth(&self) -> StepCost {
-        let StepCost { fixed, pixel, gaussian } = self.said;
-        StepCost { fixed, pixel: 0.8 * self.slower * pixel, gaussian: 1.1 * self.slower * gaussian }
+        let StepCost { fixed, pixel, gaussian, probes } = self.said;
+        let slower = 1.1 * self.slower;
+        let probes = probes.map(|cost| ProbeCost { device: slower * cost.device, host: slower * cost.host });
+        StepCost { fixed, pixel: 0.8 * self.slower * pixel, gaussian: slower * gaussian, probes }
     }
 
-    fn finish_seconds(&self, config: &TrainConfig, pixels: f64) -> f64 {
-        self.finish * FINISH * ScheduleCost::new(config, pixels, self.truth()).last_step()
+    fn finish_seconds(&self, config: &TrainConfig, photographs: PhotographCost) -> f64 {
+        self.finish * FINISH * ScheduleCost::new(config, photographs, self.truth()).last_step()
     }
 }
 
@@ -43,19 +45,20 @@ fn end(machine: &Machine, budget: f64, plans_again: bool) -> (f64, Timeline) {
     let left = budget - BEFORE;
     let config =
         settings_for(&TrainOverrides::default(), &PHONE, machine.said, left, FINISH, |_| true).unwrap();
-    let pixels = mean_pixels(&PHONE, config.resolution);
-    let config = with_steps_for(&config, pixels, machine.said, left, FINISH);
-    let truth = ScheduleCost::new(&config, pixels, machine.truth());
+    let photographs = reduced(&PHONE, config.resolution);
+    let config = with_steps_for(&config, photographs, machine.said, left, FINISH);
+    let truth = ScheduleCost::new(&config, photographs, machine.truth());
     let mut timeline = Timeline::new(config.iterations);
-    let cost = ScheduleCost::new(&config, pixels, machine.said);
+    let cost = ScheduleCost::new(&config, photographs, machine.said);
     let mut pacer = Pacer::new(budget, cost, BEFORE, 0, FINISH);
-    let finish = machine.finish_seconds(&config, pixels);
+    let finish = machine.finish_seconds(&config, photographs);
     let (mut now, mut step) = (BEFORE, 0);
     while step < timeline.total() {
         let shading = if timeline.position(step) >= config.warm_up_steps() { 1.15 } else { 1.0 };
         let mut seconds = shading * truth.step(timeline.position(step));
         for p in timeline.covered(step) {
-            seconds += 1.3 * truth.measurements_before(p) + 1.7 * truth.restart(p);
+            seconds +=
+                1.3 * truth.measurements_before(p) + 1.7 * truth.restart(p) + 1.4 * truth.comparison(p);
         }
         seconds += timeline.covered(step + 1).map(|p| 1.3 * truth.measurements_after(p)).sum::<f64>();
         now += seconds * (machine.busy)(now, step);
@@ -71,9 +74,16 @@ fn end(machine: &Machine, budget: f64, plans_again: bool) -> (f64, Timeline) {
     (now + finish * (machine.busy)(now, 0), timeline)
 }
 
-const CPU: StepCost = StepCost { fixed: 1e-3, pixel: 1.4e-6, gaussian: 3.2e-6 };
-const SLOW: StepCost = StepCost { fixed: 2e-3, pixel: 6e-6, gaussian: 1.4e-5 };
-const GPU: StepCost = StepCost { fixed: 2e-3, pixel: 4e-9, gaussian: 1e-8 };
+const CPU: StepCost = StepCost { fixed: 1e-3, pixel: 1.4e-6, gaussian: 3.2e-6, probes: None };
+const SLOW: StepCost = StepCost { fixed: 2e-3, pixel: 6e-6, gaussian: 1.4e-5, probes: None };
+/// A card whose host searches for lights.
+const GPU: StepCost = StepCost {
+    fixed: 2e-3,
+    pixel: 4e-9,
+    gaussian: 1e-8,
+    probes: Some(ProbeCost { device: 1.5e-8, host: 6e-8 }),
+};
+const SMALL: PhotographCost = PhotographCost { count: 50.0, pixels: 1e4 };
 
 fn steady() -> Machine {
     Machine { said: CPU, slower: 1.0, busy: |_, _| 1.0, finish: 1.0, measures_finish: false }
@@ -137,7 +147,7 @@ fn a_measured_finish_replaces_the_expected_one() {
 fn a_rolled_back_step_and_nan_times_do_not_spoil_the_plan() {
     let config = TrainConfig::on_curve(0.0);
     let timeline = Timeline::new(config.iterations);
-    let mut pacer = Pacer::new(60.0, ScheduleCost::new(&config, 1e4, CPU), 0.0, 0, 0.0);
+    let mut pacer = Pacer::new(60.0, ScheduleCost::new(&config, SMALL, CPU), 0.0, 0, 0.0);
     let mut now = 0.0;
     for step in 1..=40 {
         now += 0.01;
@@ -167,7 +177,7 @@ fn a_schedule_that_completes_is_not_extended() {
     let mut timeline = Timeline::new(config.iterations);
     let jump = PlanChange { step: 600, position: 1_350, total: 660, why: "until".to_owned() };
     let run = |only_shorten: bool, timeline: &Timeline| {
-        let mut pacer = Pacer::new(600.0, ScheduleCost::new(&config, 1e4, CPU), 0.0, 600, 0.0);
+        let mut pacer = Pacer::new(600.0, ScheduleCost::new(&config, SMALL, CPU), 0.0, 600, 0.0);
         if only_shorten {
             pacer.only_shorten();
         }

@@ -1,8 +1,13 @@
 //! The plan of a training whose number of steps changes on the way.
 
-use crate::TrainError;
-use crate::time_budget::{BudgetState, PlanChange, Timeline};
+use crate::time_budget::{BudgetState, PlanChange, ProbeCost, Timeline};
 use crate::trainer::Trainer;
+use crate::{TrainError, schedule};
+use relume_engine::{evaluation, fibonacci_sphere};
+use relume_scene::SplitLight;
+
+/// Number of directions in which the probes of the host are timed.
+const TIMED_DIRECTIONS: usize = 32;
 
 impl Trainer {
     /// Position of each step in the schedule.
@@ -36,5 +41,29 @@ impl Trainer {
     /// Sets the time budget so far; checkpoints keep it.
     pub fn set_budget(&mut self, budget: BudgetState) {
         self.schedule.budget = Some(budget);
+    }
+
+    /// Times the probes of one measurement of the visibility on the device and those of a few directions on the host. `now`
+    /// returns the time, seconds. `None` if the training measures no visibility.
+    pub(crate) fn probe_cost(&mut self, now: &dyn Fn() -> f64) -> Result<Option<ProbeCost>, TrainError> {
+        if !schedule::measures(&self.config) {
+            return Ok(None);
+        }
+        self.wait_for_finite_state()?;
+        let start = now();
+        self.measure(1)?;
+        let device = now() - start;
+        let state = self.engine.state()?;
+        let lights = fibonacci_sphere(TIMED_DIRECTIONS);
+        let lights: Vec<_> =
+            lights.into_iter().map(|direction| SplitLight { direction, radius: 0.0 }).collect();
+        let start = now();
+        evaluation::light_shares(&state, &lights);
+        let host = now() - start;
+        let per_probe = |seconds: f64, directions: usize| {
+            seconds / (directions.max(1) * state.model.gaussians.len().max(1)) as f64
+        };
+        let directions = self.config.probe_directions as usize;
+        Ok(Some(ProbeCost { device: per_probe(device, directions), host: per_probe(host, TIMED_DIRECTIONS) }))
     }
 }
