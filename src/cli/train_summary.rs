@@ -20,6 +20,8 @@ use relume_train::eval::{
 pub(super) const MAX_VIEWS: usize = 8;
 /// Time to read the photographs of a whole sheet again, relative to those of one row.
 const READ_AGAIN: f64 = 1.5;
+/// Photographs whose comparison is timed before the end.
+const REHEARSED_VIEWS: usize = 3;
 
 /// The parts of a capture that are needed after the training: at most eight photographs.
 pub(super) struct TrainedCapture {
@@ -109,7 +111,7 @@ impl TrainedCapture {
         self.compared.test.len().max(self.compared.train.len())
     }
 
-    /// Seconds that [`Self::summarise`] will take without LPIPS, from one photograph and one row of the sheet; `now` returns
+    /// Seconds that [`Self::summarise`] will take without LPIPS, from a few photographs and one row of the sheet; `now` returns
     /// the time. `None` if they cannot be compared.
     pub(super) fn rehearse(
         &mut self,
@@ -118,9 +120,17 @@ impl TrainedCapture {
         has_sheet: bool,
         now: &dyn Fn() -> f64,
     ) -> Option<f64> {
-        let start = now();
+        let (start, all) = (now(), self.compared());
         let report = self.evaluate(model, device, None, Some(1)).ok()?;
-        let mut seconds = (now() - start) * self.compared() as f64;
+        let mut seconds = now() - start;
+        if all > 1 {
+            // The comparison of one photograph includes the preparation of the light.
+            let more = REHEARSED_VIEWS.min(all);
+            let start = now();
+            self.evaluate(model, device, None, Some(more)).ok()?;
+            let each = (now() - start - seconds).max(0.0) / (more - 1) as f64;
+            seconds += each * (all - 1) as f64;
+        }
         if has_sheet {
             let start = now();
             let mut rows = SheetRows::choose(&self.compared, Some(&report));
