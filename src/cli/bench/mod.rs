@@ -6,12 +6,14 @@ mod complexity;
 mod device;
 mod input;
 mod matrix;
+mod plot;
 mod poses;
 mod quantiles;
 mod queue;
 mod service;
 mod shadow;
 mod table;
+mod time_curve;
 mod tradeoff;
 mod training;
 mod visibility;
@@ -47,6 +49,8 @@ enum BenchCommand {
     Shadow(shadow::ShadowArgs),
     /// Measure time and error of each rendering tier per model; write a table, a CSV file and a plot.
     Tradeoff(tradeoff::TradeoffArgs),
+    /// Train captures with several time budgets and presets; write time, held-out and relit accuracy as a table and a plot.
+    Training(time_curve::TimeCurveArgs),
     /// Measure the error of the visibility that models learned, by the source of its labels.
     Visibility(visibility::VisibilityArgs),
 }
@@ -63,6 +67,7 @@ pub(super) fn run(args: &BenchArgs) -> CommandResult {
         BenchCommand::Service(args) => service::run(args),
         BenchCommand::Shadow(args) => shadow::run(args),
         BenchCommand::Tradeoff(args) => tradeoff::run(args),
+        BenchCommand::Training(args) => time_curve::run(args),
         BenchCommand::Visibility(args) => visibility::run(args),
     }
 }
