@@ -2,7 +2,8 @@
 
 Usage: python3 exposure_gains.py SCENE OUT SPREAD
 
-SPREAD is the standard deviation of ln(gain) in green; that of red and of blue over green is 0.45 of it. The random numbers have a
+SPREAD is the standard deviation of ln(gain) in green; that of red and of blue over green is 0.45 of it. The geometric mean of the
+gains is 1: a capture that is brighter in the mean has brighter surfaces, which is no error of a training. The random numbers have a
 fixed seed. Files other than training photographs become links to SCENE. OUT must not exist. Requires NumPy and Pillow.
 """
 
@@ -33,21 +34,29 @@ def with_gain(image, gain):
     return Image.fromarray((values * 255 + 0.5).astype("uint8"), image.mode)
 
 
+def gains(count, spread):
+    """Random gains of `count` photographs, red, green and blue, with a geometric mean of 1."""
+    rng = np.random.default_rng(SEED)
+    green = rng.normal(0, spread, (count, 1))
+    over_green = rng.normal(0, WHITE_BALANCE_SHARE * spread, (count, 2))
+    logs = np.concatenate([green + over_green[:, :1], green, green + over_green[:, 1:]], 1)
+    return np.exp(logs - logs.mean(0))
+
+
 def copy(scene, out, spread):
     """Writes the copy of `scene` to the new folder `out`."""
     out.mkdir(parents=True)
-    rng = np.random.default_rng(SEED)
-    for entry in sorted(scene.iterdir()):
-        if not entry.name.startswith("train_"):
+    entries = sorted(scene.iterdir())
+    trained = [entry for entry in entries if entry.name.startswith("train_")]
+    for entry in entries:
+        if entry not in trained:
             (out / entry.name).symlink_to(entry.resolve())
-            continue
+    for entry, gain in zip(trained, gains(len(trained), spread)):
         (out / entry.name).mkdir()
-        green = np.exp(rng.normal(0, spread))
-        red, blue = green * np.exp(rng.normal(0, WHITE_BALANCE_SHARE * spread, 2))
         for file in entry.iterdir():
             target = out / entry.name / file.name
             if file.name == "rgba.png":
-                with_gain(Image.open(file), np.array([red, green, blue])).save(target)
+                with_gain(Image.open(file), gain).save(target)
             else:
                 target.symlink_to(file.resolve())
 
