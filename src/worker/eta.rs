@@ -84,7 +84,8 @@ mod tests {
             let shading = if i < warm_up { 1.0 } else { 2.5 };
             let is_round = i >= warm_up && i.is_multiple_of((config.iterations / 15).min(100));
             let lights = if config.is_albedo_round(i) { 100.0 } else { 0.0 };
-            let probes = gaussians * (lights + if is_round { 30.0 } else { 0.0 });
+            let compared = if config.is_exposure_round(i) { 35.0 } else { 0.0 };
+            let probes = gaussians * (lights + compared + if is_round { 30.0 } else { 0.0 });
             let uneven = 1.0 + 0.3 * f64::from(i * 7919 % 11) / 10.0;
             let busy = if (0.5..0.6).contains(&share) { 1.4 } else { 1.0 };
             (5.0 + 0.002 * (shading * (0.3 * pixels + gaussians) + probes)) * uneven * busy

@@ -113,6 +113,8 @@ fn train(
     variant: &Variant,
 ) -> CommandResult<Trained> {
     let mut fields = variant.overrides.clone();
+    // A table compares the parts of the model, so none is omitted unless the variant says so.
+    fields.entry("complexity").or_insert_with(|| "full".into());
     fields.insert("resolution".to_owned(), args.resolution.into());
     fields.insert("seed".to_owned(), args.seed.into());
     if let Some(iterations) = args.iterations {

@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn curves_are_sorted_by_time_and_cells_state_settings_and_scores() {
+    fn curves_are_sorted_by_time_and_cells_state_scores() {
         let curves = [("a<b".to_owned(), vec![point(9.0, 24), point(2.0, 12)])];
         let cells = cells(curves[0].0.clone(), &curves[0].1[1]);
         assert_eq!(cells[..6], ["a<b", "`--time 2s`", "2", "160", "12", "64"]);

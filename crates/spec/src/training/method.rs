@@ -50,6 +50,15 @@ impl Method {
 
     /// The settings of the method, as JSON of [`TrainOverrides`](super::TrainOverrides).
     pub(super) fn overrides(self) -> Value {
+        let mut changes = self.model_changes();
+        if let Some(changes) = changes.as_object_mut().filter(|_| !self.is_relume()) {
+            // Parts of a published model are not omitted.
+            changes.insert("complexity".to_owned(), json!("full"));
+        }
+        changes
+    }
+
+    fn model_changes(self) -> Value {
         match self {
             Self::Splatting => json!({
                 "warm_up": 1.0, "radiance_order": 3,

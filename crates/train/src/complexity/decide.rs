@@ -14,19 +14,19 @@ pub const OFF_TOLERANCE: f32 = 0.18;
 /// Largest mean change of ambient occlusion when SH degrees are removed.
 pub const AMBIENT_TOLERANCE: f32 = 0.005;
 /// Largest mean squared error of the field (0 to 1) when SH degrees are removed.
-pub const FIELD_TOLERANCE: f32 = 0.01;
+pub const FIELD_TOLERANCE: f32 = 0.005;
 /// Ratio of bounced to direct irradiance up to which bounced light is removed.
 pub const INDIRECT_TOLERANCE: f32 = 0.01;
 /// Largest loss of display colour in the radiance branch, root mean square.
 pub const RADIANCE_TOLERANCE: f32 = 0.01;
 /// Largest immediate loss of training PSNR when all surfaces become dielectric, dB.
-pub const METALNESS_TOLERANCE: f32 = 0.1;
+pub const METALNESS_TOLERANCE: f32 = 0.03;
 /// Largest loss of training PSNR when sheen is removed at the end, dB.
 pub const SHEEN_TOLERANCE: f32 = 0.05;
 /// Largest linear albedo that merging prototypes may move into the residuals, root mean square.
-pub const PROTOTYPE_TOLERANCE: f32 = 0.08;
+pub const PROTOTYPE_TOLERANCE: f32 = 0.03;
 /// Largest immediate loss of training PSNR when Gaussians are dropped, dB.
-pub const DROP_TOLERANCE: f32 = 0.05;
+pub const DROP_TOLERANCE: f32 = 0.02;
 /// Shares of the Gaussians, those of least weight, that are dropped in successive trials.
 pub const DROPPED_SHARES: [f32; 12] = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7];
 /// Training PSNR per doubling of the Gaussians below which no more are added, dB.

@@ -104,6 +104,7 @@ impl CaptureFacts {
         if self.faults.are_few {
             causes.push(format!("few photographs ({all}; 40 to 200 are better)"));
         }
+        causes.extend(unknown_level(card));
         causes.extend(capacity(card));
         causes
     }
@@ -145,6 +146,19 @@ fn exposure_scatter(card: &Value) -> Option<String> {
     Some(format!(
         "exposure scatter {exposure:.0} % and white balance scatter {white_balance:.0} %, corrected"
     ))
+}
+
+/// The level of the light, if the surface has one colour without highlights of metal and the light is not known: twice the light on
+/// half the albedo gives the same photographs.
+fn unknown_level(card: &Value) -> Option<String> {
+    let is_one_colour = card.get("prototypes")?.as_u64()? == 1;
+    let is_dielectric = card.pointer("/complexity/findings")?.as_array()?.iter().any(|finding| {
+        finding["setting"] == "metalness" && finding["is"] == "dielectric" && finding["forced"] == false
+    });
+    let is_known = card.pointer("/config/light").is_some_and(|light| !light.is_null());
+    (is_one_colour && is_dielectric && !is_known).then(|| {
+        "the surface has one colour, so the photographs do not determine how bright it is: give the light (--light)".to_owned()
+    })
 }
 
 /// The limit of the settings on Gaussians, if the training reached it.
@@ -226,6 +240,28 @@ mod tests {
         assert_eq!(causes(&facts, 400), "causes: no fault of the photographs was found", "the control");
         facts.faults.are_few = true;
         assert_eq!(causes(&facts, 400), "causes: few photographs (12; 40 to 200 are better)");
+    }
+
+    #[test]
+    fn an_unknown_level_of_the_light_is_stated_for_one_colour() {
+        let mut facts = facts(3);
+        facts.faults.are_few = false;
+        let card = |prototypes: u32, metalness: &str, light: Value| {
+            json!({
+                "prototypes": prototypes, "config": {"light": light},
+                "complexity": {"findings": [{"setting": "metalness", "is": metalness, "forced": false}]},
+            })
+        };
+        let is_stated =
+            |card: &Value| facts.summary(&report(), card)[2].contains("do not determine how bright it is");
+        assert!(is_stated(&card(1, "dielectric", Value::Null)));
+        for other in [
+            card(2, "dielectric", Value::Null),
+            card(1, "learned", Value::Null),
+            card(1, "dielectric", json!({"environment": "studio"})),
+        ] {
+            assert!(!is_stated(&other), "{other}");
+        }
     }
 
     #[test]
