@@ -110,18 +110,7 @@ fn in_words(seconds: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::time_budget::cost::ProbeCost;
-
-    /// Two cores of a server.
-    const CPU: StepCost = StepCost { fixed: 1e-3, pixel: 1.4e-6, gaussian: 3.2e-6, probes: None };
-    /// A large graphics card.
-    const GPU: StepCost = StepCost {
-        fixed: 2e-3,
-        pixel: 4e-9,
-        gaussian: 1e-8,
-        probes: Some(ProbeCost { device: 1.5e-8, host: 6e-8 }),
-    };
-    const PHONE: [(u32, u32); 50] = [(1_080, 1_920); 50];
+    use crate::time_budget::simulated::{CPU, GPU, PHONE};
 
     fn planned(overrides: &TrainOverrides, sizes: &[(u32, u32)], cost: StepCost, left: f64) -> TrainConfig {
         filled(&settings_for(overrides, sizes, cost, left, 40.0, |_| true).unwrap(), sizes, cost, left)

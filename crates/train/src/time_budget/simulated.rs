@@ -6,7 +6,7 @@ use crate::time_budget::plan::{reduced, settings_for, with_steps_for};
 use crate::time_budget::timeline::{PlanChange, Timeline};
 use relume_spec::training::{TrainConfig, TrainOverrides};
 
-const PHONE: [(u32, u32); 50] = [(1_080, 1_920); 50];
+pub(super) const PHONE: [(u32, u32); 50] = [(1_080, 1_920); 50];
 /// Time after the last step that the plan expects, as a number of last steps.
 const FINISH: f64 = 40.0;
 /// Seconds before the first step: measuring the machine, reading the photographs.
@@ -74,10 +74,11 @@ fn end(machine: &Machine, budget: f64, plans_again: bool) -> (f64, Timeline) {
     (now + finish * (machine.busy)(now, 0), timeline)
 }
 
-const CPU: StepCost = StepCost { fixed: 1e-3, pixel: 1.4e-6, gaussian: 3.2e-6, probes: None };
+/// Two cores of a server.
+pub(super) const CPU: StepCost = StepCost { fixed: 1e-3, pixel: 1.4e-6, gaussian: 3.2e-6, probes: None };
 const SLOW: StepCost = StepCost { fixed: 2e-3, pixel: 6e-6, gaussian: 1.4e-5, probes: None };
-/// A card whose host searches for lights.
-const GPU: StepCost = StepCost {
+/// A large graphics card, whose host searches for lights.
+pub(super) const GPU: StepCost = StepCost {
     fixed: 2e-3,
     pixel: 4e-9,
     gaussian: 1e-8,

@@ -184,7 +184,7 @@ impl Trainer {
         self.schedule.complexity.due(&self.config, self.schedule.position()).is_some()
     }
 
-    /// Reduces the model to what the scene requires, if a decision is due.
+    /// Removes the parts of the model that the scene does not need, if a decision is due.
     pub(super) fn decide(&mut self) -> Result<(), TrainError> {
         let steps = self.schedule.step;
         let position = self.schedule.position();

@@ -1,4 +1,4 @@
-//! The plan of a training whose number of steps changes on the way.
+//! The plan of a training whose number of steps changes on the way, and the timed probes on which it is based.
 
 use crate::time_budget::{BudgetState, PlanChange, ProbeCost, Timeline};
 use crate::trainer::Trainer;
@@ -7,7 +7,7 @@ use relume_engine::{evaluation, fibonacci_sphere};
 use relume_scene::SplitLight;
 
 /// Number of directions in which the probes of the host are timed.
-const TIMED_DIRECTIONS: usize = 32;
+const HOST_DIRECTIONS: usize = 32;
 
 impl Trainer {
     /// Position of each step in the schedule.
@@ -54,7 +54,7 @@ impl Trainer {
         self.measure(1)?;
         let device = now() - start;
         let state = self.engine.state()?;
-        let lights = fibonacci_sphere(TIMED_DIRECTIONS);
+        let lights = fibonacci_sphere(HOST_DIRECTIONS);
         let lights: Vec<_> =
             lights.into_iter().map(|direction| SplitLight { direction, radius: 0.0 }).collect();
         let start = now();
@@ -64,6 +64,6 @@ impl Trainer {
             seconds / (directions.max(1) * state.model.gaussians.len().max(1)) as f64
         };
         let directions = self.config.probe_directions as usize;
-        Ok(Some(ProbeCost { device: per_probe(device, directions), host: per_probe(host, TIMED_DIRECTIONS) }))
+        Ok(Some(ProbeCost { device: per_probe(device, directions), host: per_probe(host, HOST_DIRECTIONS) }))
     }
 }
