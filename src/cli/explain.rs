@@ -62,13 +62,24 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
     out.extend(crop(card));
     let decisions = findings(card);
     let mode = card.pointer("/complexity/mode").map_or("unknown".to_owned(), plain);
-    out.push(format!("\ncomplexity {mode}: {} decisions", decisions.len()));
+    out.push(format!("\ncomplexity {mode}: {} decisions{}", decisions.len(), saving(card)));
     out.extend(decisions.into_iter().map(|d| format!("  {d}")));
     out.push("\nconfiguration".to_owned());
     for (key, value) in card.get("config").and_then(Value::as_object).into_iter().flatten() {
         out.push(format!("  {key}: {}", plain(value)));
     }
     out
+}
+
+/// The size of the Gaussians beside their size with all parts; empty without a difference, and for older models.
+fn saving(card: &Value) -> String {
+    let bytes = |name: &str| card.pointer(name).and_then(Value::as_f64);
+    match (bytes("/complexity/bytes"), bytes("/complexity/bytes_full")) {
+        (Some(now), Some(full)) if now > 0.0 && full > now => {
+            format!(", {:.2} MB instead of {:.2} MB with all parts", now / 1e6, full / 1e6)
+        }
+        _ => String::new(),
+    }
 }
 
 /// The albedo prototypes and the form of the shading, with the names of the API.
@@ -212,3 +223,7 @@ mod tests {
         assert!(findings(&Value::Null).is_empty(), "a card without decisions has none");
     }
 }
+        let saved =
+            |full: u32| saving(&serde_json::json!({"complexity": {"bytes": 1_500_000, "bytes_full": full}}));
+        assert_eq!(saved(2_000_000), ", 1.50 MB instead of 2.00 MB with all parts");
+        assert_eq!((saved(1_500_000), saving(&Value::Null)), (String::new(), String::new()), "the controls");

@@ -272,7 +272,7 @@ settings! {
     /// `auto`: omits the parts of the model that measurements show the scene does not need, except parts that
     /// the caller sets. `full`: all parts.
     #[serde(default)]
-    complexity: Complexity = Complexity::Full;
+    complexity: Complexity = Complexity::Auto;
     groups {
         /// The forward model. Omitted fields are unchanged.
         shading: ShadingOptions changed by ShadingChanges, decides Visibility & Indirect;

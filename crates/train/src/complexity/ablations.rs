@@ -18,32 +18,38 @@ struct Ablation {
     tolerance: f32,
 }
 
-/// Drops the Gaussians with the least contribution, as many as the photographs allow.
-///
-/// The radiance branch decides: albedo restarts a few steps earlier, so the physically based branch is too inaccurate
-/// to show the loss.
+/// Drops the Gaussians with the least contribution, as many as the photographs allow in both branches.
 pub fn drop_least(complexity: &mut ComplexityState, context: &DecisionContext<'_>, state: &mut TrainState) {
     let n = state.model.gaussians.len();
     if context.is_forced(ComplexitySetting::Gaussians) {
         return complexity.record_forced_value(ComplexitySetting::Gaussians, context.steps, n.to_string());
     }
     let weights = context.blending_weights(state, MANY_VIEWS);
-    let with = context.radiance_psnr(state);
+    let psnr = |state: &TrainState| [context.physical_psnr(state), context.radiance_psnr(state)];
+    let with = psnr(state);
     let mut best = (state.clone(), with);
-    for share in decide::DROPPED_SHARES {
+    // The loss grows with the share, so bisection finds the largest share within tolerance.
+    let mut untested = 0..decide::DROPPED_SHARES.len();
+    while !untested.is_empty() {
+        let middle = untested.start + untested.len() / 2;
         let mut without = state.clone();
-        without.select(&decide::heaviest(&weights, share));
-        let psnr = context.radiance_psnr(&without);
-        if with - psnr > decide::DROP_TOLERANCE {
-            break;
+        without.select(&decide::heaviest(&weights, decide::DROPPED_SHARES[middle]));
+        let left = psnr(&without);
+        let fits = with.iter().zip(left).all(|(with, left)| with - left <= decide::DROP_TOLERANCE);
+        if fits {
+            best = (without, left);
+            untested.start = middle + 1;
+        } else {
+            untested.end = middle;
         }
-        best = (without, psnr);
     }
     let (smaller, without) = best;
     let left = smaller.model.gaussians.len();
     let figures = [
-        ("psnr", with),
-        ("psnr_without", without),
+        ("psnr", with[0]),
+        ("psnr_without", without[0]),
+        ("radiance_psnr", with[1]),
+        ("radiance_psnr_without", without[1]),
         ("tolerance_db", decide::DROP_TOLERANCE),
         ("share_dropped", 1.0 - left as f32 / n.max(1) as f32),
     ];

@@ -31,8 +31,8 @@ pub const DROP_TOLERANCE: f32 = 0.02;
 pub const DROPPED_SHARES: [f32; 12] = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7];
 /// Training PSNR per doubling of the Gaussians below which no more are added, dB.
 pub const MIN_PSNR_GAIN: f32 = 0.2;
-/// Training PSNR above which no more Gaussians are added, dB: a root mean square error of 3.6 / 255.
-pub const SUFFICIENT_PSNR: f32 = 37.0;
+/// Training PSNR above which no more Gaussians are added, dB: a root mean square error of 1.4 / 255.
+pub const SUFFICIENT_PSNR: f32 = 45.0;
 
 /// The visibility field that a scene requires.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -215,7 +215,7 @@ mod tests {
             !is_enough(&[(1000, 30.0), (1000, 30.0), (1000, 30.0)]),
             "without added Gaussians there is no evidence"
         );
-        assert!(is_enough(&[(1000, 42.5), (1200, 43.0), (1400, 43.5)]));
+        assert!(is_enough(&[(1000, 44.5), (1200, 45.5), (1400, 46.5)]));
         assert!(!is_enough(&[(1200, 30.0), (1400, 30.0)]));
     }
 

@@ -29,12 +29,10 @@ impl ComplexityState {
                 sh_degrees::decide(self, context, &photo_evidence, state);
             }
             DecisionPoint::Trained => ablations::decide_metalness(self, context, state),
-            DecisionPoint::HalfWay => {
-                ablations::drop_least(self, context, state);
-                merge_prototypes(self, context, state);
-            }
+            DecisionPoint::HalfWay => merge_prototypes(self, context, state),
             DecisionPoint::End => {
                 ablations::decide_sheen(self, context, state);
+                ablations::drop_least(self, context, state);
                 merge_prototypes(self, context, state);
             }
         }

@@ -12,7 +12,7 @@ pub const FEW_VIEWS: usize = 12;
 /// Number of photographs for blending weights if single Gaussians are assessed.
 pub const MANY_VIEWS: usize = 64;
 /// Number of photographs on which ablations are tested.
-const ABLATION_PHOTOS: usize = 8;
+pub const ABLATION_PHOTOS: usize = 8;
 
 /// Inputs of a decision besides the state of the training.
 #[derive(Debug, Clone, Copy)]

@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::complexity::decide;
+use crate::complexity::photographs::{ABLATION_PHOTOS, FEW_VIEWS, MANY_VIEWS};
+use relume_scene::{Field, Gaussians};
 use relume_spec::training::{Complexity, ComplexitySetting, TrainConfig};
 
 /// Earliest share of the steps after which decisions are made.
@@ -67,22 +69,46 @@ pub enum DecisionPoint {
     End,
 }
 
+impl DecisionPoint {
+    /// Number of photographs that its decisions render if there are enough.
+    fn rendered_photographs(self) -> usize {
+        match self {
+            Self::Measured | Self::HalfWay => FEW_VIEWS,
+            Self::Trained => 2 * ABLATION_PHOTOS,
+            // Sheen, Gaussians by bisection in both branches, prototypes.
+            Self::End => 2 * ABLATION_PHOTOS + 5 * 2 * ABLATION_PHOTOS + MANY_VIEWS + FEW_VIEWS,
+        }
+    }
+}
+
+/// Each decision point with the number of completed steps from which it is due; empty for `complexity: full`.
+fn points(config: &TrainConfig) -> Vec<(u32, DecisionPoint)> {
+    if config.complexity == Complexity::Full {
+        return Vec::new();
+    }
+    let total = config.iterations;
+    let first = config.warm_up_steps().max((EARLIEST * total as f32) as u32);
+    let second = first + total.saturating_sub(first) / 2;
+    vec![
+        (first, DecisionPoint::Measured),
+        (second.saturating_sub(1), DecisionPoint::Trained),
+        (second, DecisionPoint::HalfWay),
+        (total, DecisionPoint::End),
+    ]
+}
+
+/// Number of photographs that the decisions after `steps` steps render, for estimates of the time.
+pub fn rendered_photographs(config: &TrainConfig, steps: u32) -> usize {
+    let due = points(config).into_iter().filter(|(from, _)| *from == steps);
+    due.map(|(_, point)| point.rendered_photographs()).sum()
+}
+
 impl ComplexityState {
     /// The decision point that is due after `steps` steps, if any.
     pub fn due(&self, config: &TrainConfig, steps: u32) -> Option<DecisionPoint> {
-        if config.complexity == Complexity::Full {
-            return None;
-        }
-        let total = config.iterations;
-        let first = config.warm_up_steps().max((EARLIEST * total as f32) as u32);
-        let second = first + total.saturating_sub(first) / 2;
-        match self.points {
-            0 if steps >= first && steps < total => Some(DecisionPoint::Measured),
-            1 if steps + 1 >= second && steps < total => Some(DecisionPoint::Trained),
-            2 if steps >= second && steps < total => Some(DecisionPoint::HalfWay),
-            3 if steps >= total => Some(DecisionPoint::End),
-            _ => None,
-        }
+        let (from, point) = *points(config).get(usize::from(self.points))?;
+        let is_due = steps >= from && (point == DecisionPoint::End || steps < config.iterations);
+        is_due.then_some(point)
     }
 
     /// Adds the PSNR of a step, dB. `phase` identifies the images that were compared; values of different phases are
@@ -127,6 +153,12 @@ impl ComplexityState {
         );
     }
 
+    /// Number of Gaussians before the least contributing ones were removed.
+    fn gaussians_of_full(&self, now: usize) -> usize {
+        let removals = self.findings.iter().filter(|f| f.setting == ComplexitySetting::Gaussians);
+        removals.filter_map(|f| f.was.parse().ok()).max().unwrap_or(now)
+    }
+
     /// Records a decision on `setting`.
     pub(super) fn record_decision(
         &mut self,
@@ -154,8 +186,8 @@ impl ComplexityState {
         });
     }
 
-    /// The part of the model card about the decisions.
-    pub fn card(&self, config: &TrainConfig) -> Value {
+    /// The part of the model card about the decisions. `gaussians` are those of the model.
+    pub fn card(&self, config: &TrainConfig, gaussians: &Gaussians) -> Value {
         let finding = |f: &ComplexityDecision| {
             let evidence: BTreeMap<&String, f64> = f.evidence.iter().map(|(k, v)| (k, rounded(*v))).collect();
             json!({
@@ -163,11 +195,21 @@ impl ComplexityState {
                 "forced": f.forced, "evidence": evidence,
             })
         };
+        let floats = |g: &Gaussians| Field::ALL.iter().map(|field| g.field(*field).len()).sum::<usize>();
         json!({
             "mode": config.complexity,
+            "bytes": 4 * floats(gaussians),
+            "bytes_full": 4 * self.gaussians_of_full(gaussians.len()) * floats(&of_full(config)),
             "findings": self.findings.iter().map(finding).collect::<Vec<_>>(),
         })
     }
+}
+
+/// One Gaussian with all configured parts.
+fn of_full(config: &TrainConfig) -> Gaussians {
+    let [prototypes, visibility, radiance] =
+        [config.prototypes, config.visibility_order, config.radiance_order].map(|n| n as usize);
+    Gaussians::zeroed(1, prototypes, visibility, radiance)
 }
 
 /// Rounds to four significant digits, the accuracy of the measurements.

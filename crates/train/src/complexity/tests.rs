@@ -156,7 +156,8 @@ fn a_convex_object_needs_no_visibility_and_no_indirect_light() {
     let g = &state.model.gaussians;
     assert_eq!((g.visibility_degree(), g.radiance_degree()), (0, 1));
     assert!(state.labels.is_empty() && state.gathered.is_empty());
-    let card = complexity.card(&config(&TrainOverrides::default()));
+    let card = complexity.card(&config(&TrainOverrides::default()), g);
+    assert!(card["bytes"].as_u64().unwrap() < card["bytes_full"].as_u64().unwrap(), "{card}");
     assert_eq!(card["findings"][0]["is"], "off", "{card}");
     assert!(card["findings"][0]["evidence"]["bounced_over_direct"].as_f64().unwrap() < 0.01, "{card}");
 }

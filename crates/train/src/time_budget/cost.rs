@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::schedule;
+use crate::{complexity, schedule};
 use relume_engine::PhotoSize;
 use relume_spec::training::TrainConfig;
 
@@ -21,6 +21,8 @@ const PROBE: f64 = 0.4;
 const SEARCH_PROBES: f64 = 400.0;
 /// Cost per Gaussian of comparing one photograph with its render on the host, in probes on the host.
 const COMPARISON_PROBES: f64 = 1.25;
+/// Cost of rendering one photograph of full size on the host, relative to a step with it on the CPU engine.
+const IMAGE: f64 = 0.35;
 
 /// Time of one probe, the transmittance from one Gaussian in one direction, seconds or relative.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -169,14 +171,24 @@ impl ScheduleCost {
         self.measurement(position) + if searches { search } else { 0.0 }
     }
 
-    /// Cost of comparing all photographs with renders on the host, before the step at a position: for their exposures, and for
-    /// the Gaussians that none of them shows.
+    /// Cost of comparing photographs with renders on the host, before the step at a position: all photographs for their exposures
+    /// and for the Gaussians that none of them shows, some for decisions on the complexity. The last step includes the decisions after it.
     pub fn comparison(&self, position: u32) -> f64 {
         let config = &self.config;
         let rounds = [config.is_exposure_round(position), position == schedule::hiding(config)];
         let count = rounds.into_iter().filter(|is_due| *is_due).count() as f64;
         let views = count * self.photographs.count * self.gaussians(position);
-        COMPARISON_PROBES * self.step.probe().host * views
+        COMPARISON_PROBES * self.step.probe().host * views + self.decisions(position)
+    }
+
+    /// Cost of the decisions on the complexity before the step at a position, and after the last step.
+    fn decisions(&self, position: u32) -> f64 {
+        let after = position + 1 == self.positions();
+        let steps = std::iter::once(position).chain(after.then_some(self.positions()));
+        let count =
+            steps.map(|steps| complexity::state::rendered_photographs(&self.config, steps)).sum::<usize>();
+        let pace = self.step.probe().host / PROBE;
+        count as f64 * IMAGE * pace * StepCost::RELATIVE.of(self.photographs.pixels, self.gaussians(position))
     }
 
     /// Steps that train materials so far, if visibility is measured there.
@@ -204,7 +216,7 @@ impl ScheduleCost {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use relume_spec::training::Preset;
+    use relume_spec::training::{Complexity, Preset};
 
     #[test]
     fn the_cost_through_exact_measurements_is_the_cost() {
@@ -229,7 +241,7 @@ mod tests {
 
     #[test]
     fn events_cost_only_where_the_schedule_has_them() {
-        let config = TrainConfig::preset(Preset::Draft);
+        let config = TrainConfig { complexity: Complexity::Full, ..TrainConfig::preset(Preset::Draft) };
         let photographs = PhotographCost { count: 50.0, pixels: 1e4 };
         let cost = ScheduleCost::new(&config, photographs, StepCost::RELATIVE);
         let at: Vec<u32> = (0..config.iterations).filter(|p| cost.restart(*p) > 0.0).collect();
@@ -242,6 +254,18 @@ mod tests {
         assert!(cost.step(300) < cost.step(400), "radiance alone takes less");
         let compared: Vec<u32> = (0..config.iterations).filter(|p| cost.comparison(*p) > 0.0).collect();
         assert_eq!(compared, [375 + 225, 375 + 337, 375 + 450, 375 + 562, 1_200]);
+    }
+
+    #[test]
+    fn decisions_cost_at_their_steps_and_most_after_the_last_one() {
+        let auto = TrainConfig { complexity: Complexity::Auto, ..TrainConfig::preset(Preset::Draft) };
+        let full = TrainConfig { complexity: Complexity::Full, ..auto.clone() };
+        let photographs = PhotographCost { count: 50.0, pixels: 1e4 };
+        let [auto, full] = [&auto, &full].map(|c| ScheduleCost::new(c, photographs, StepCost::RELATIVE));
+        let more = |p: u32| auto.comparison(p) - full.comparison(p);
+        let decided: Vec<u32> = (0..auto.positions()).filter(|p| more(*p) > 0.0).collect();
+        assert_eq!(decided, [375, 375 + 561, 375 + 562, 1_499]);
+        assert!(decided[..3].iter().all(|p| more(*p) < 0.5 * more(1_499)));
     }
 
     #[test]

@@ -26,7 +26,7 @@ impl Trainer {
             "gaussians": model.gaussians.len(),
             "photographs": self.data.len(),
             "has_alpha": self.data.has_alpha,
-            "complexity": self.schedule.complexity.card(&self.config),
+            "complexity": self.schedule.complexity.card(&self.config, &model.gaussians),
             "light": self.light_card(&model),
             "exposures": self.exposures_card(),
             "up": self.schedule.up,
