@@ -112,12 +112,17 @@ fn light(card: &Value) -> Vec<String> {
         _ => "estimated from how colours change with the view, to about 20 % in blue over red",
     };
     let mut out = vec![format!("light of colour {} at the start, {from}", numbers(light.get("colour")))];
+    let around = light.pointer("/surroundings/shown_share").and_then(Value::as_f64);
+    out.extend(around.map(|share| {
+        format!("the light is that of the surroundings; the photographs show {:.0} % of them", 100.0 * share)
+    }));
     for found in light.get("lights").and_then(Value::as_array).into_iter().flatten() {
         let radius = found.get("radius_deg").and_then(Value::as_f64).unwrap_or_default();
         let evidence = match found.get("sharp_over_soft_shadows").and_then(Value::as_f64) {
             Some(gain) => {
                 format!("sharp shadows explain colours {:.0} % better than soft ones", 100.0 * gain)
             }
+            None if around.is_some() => "a source that the photographs show".to_owned(),
             None => "in the given environment map".to_owned(),
         };
         let towards = numbers(found.get("direction"));
@@ -221,9 +226,9 @@ mod tests {
         assert_eq!(printed[0], "visibility: degree 4 -> off at step 9; ao error off 0.01");
         assert_eq!(printed[1], "radiance: degree 1, as requested (step 9)");
         assert!(findings(&Value::Null).is_empty(), "a card without decisions has none");
-    }
-}
         let saved =
             |full: u32| saving(&serde_json::json!({"complexity": {"bytes": 1_500_000, "bytes_full": full}}));
         assert_eq!(saved(2_000_000), ", 1.50 MB instead of 2.00 MB with all parts");
         assert_eq!((saved(1_500_000), saving(&Value::Null)), (String::new(), String::new()), "the controls");
+    }
+}

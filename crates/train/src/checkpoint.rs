@@ -12,6 +12,7 @@ use crate::crop::{Region, SILHOUETTE, SubjectCrop};
 use crate::dataset::Gain;
 use crate::error::TrainError;
 use crate::state::ScheduleState;
+use crate::surroundings::SurroundingLight;
 use crate::time_budget::{BudgetState, PlanChange, Timeline};
 use relume_capture::WorldUp;
 use relume_capture::formats::model_file::{self, Tensor, floats};
@@ -43,6 +44,9 @@ struct Header {
     gains: Vec<Vec<Gain>>,
     #[serde(default)]
     lights: Vec<f32>,
+    /// Absent where the surroundings do not determine the light.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    surroundings: Option<SurroundingLight>,
     /// Absent in checkpoints of versions that did not record it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     up: Option<WorldUp>,
@@ -96,6 +100,7 @@ pub fn encode(
         light_colour: schedule.light_colour,
         gains: schedule.gains.clone(),
         lights: schedule.lights.clone(),
+        surroundings: schedule.surroundings.as_deref().cloned(),
         up: schedule.up.clone(),
         cut: schedule.cut.as_ref().map(|cut| (cut.region, cut.gaussians.len())),
         plan: schedule.timeline.changes().to_vec(),
@@ -243,6 +248,7 @@ pub fn decode(bytes: &[u8], config: &TrainConfig) -> Result<(ScheduleState, Trai
         light_colour: header.light_colour,
         gains: header.gains,
         lights: header.lights,
+        surroundings: header.surroundings.map(Arc::new),
         up: header.up,
         cut: header.cut.map(cut).transpose()?,
         timeline: Timeline::with_changes(config.iterations, header.plan)
@@ -284,6 +290,7 @@ mod tests {
             light_colour: Some(LightColour { blue_over_red: 0.25, green: -0.5 }),
             gains: vec![vec![[1.1, 1.0, 0.9]; 2]],
             lights: vec![0.25],
+            surroundings: None,
             up: Some(WorldUp::default()),
             cut: None,
             timeline: Timeline::new(config.iterations),

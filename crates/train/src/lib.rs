@@ -21,6 +21,7 @@ pub mod render;
 mod sampling_rate;
 mod schedule;
 mod state;
+mod surroundings;
 mod system_memory;
 pub mod time_budget;
 mod trainer;

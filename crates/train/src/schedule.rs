@@ -129,6 +129,11 @@ pub fn rotating_light_weights(weights: LightWeights) -> LightWeights {
     LightWeights { exposure: weights.exposure * ROTATING_LIGHT_EXPOSURE, ..weights }
 }
 
+/// Weights of the terms on a light of which only `sources`, a share of the sphere, are trained: the rest of it fixes level and colour.
+pub fn weights_with_sources(weights: LightWeights, sources: f32) -> LightWeights {
+    LightWeights { exposure: weights.exposure * sources, colour: weights.colour * sources, ..weights }
+}
+
 /// Adam's step sizes at `progress` in [0, 1].
 ///
 /// Those of shapes and radiance decrease to a thirtieth over the second half; those of materials, normals and light

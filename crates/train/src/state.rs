@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::complexity::state::ComplexityState;
 use crate::crop::SubjectCrop;
 use crate::dataset::Gain;
+use crate::surroundings::SurroundingLight;
 use crate::time_budget::{BudgetState, Timeline};
 use relume_capture::WorldUp;
 use relume_scene::light::LightColour;
@@ -35,6 +36,8 @@ pub struct ScheduleState {
     pub gains: Vec<Vec<Gain>>,
     /// For each strong small light, the share by which sharp shadows explain the photographs better than soft ones.
     pub lights: Vec<f32>,
+    /// The light of the surroundings, once materials train; `None` where the photographs do not determine it.
+    pub surroundings: Option<Arc<SurroundingLight>>,
     /// The direction in the files of the capture that is +Z of the model.
     pub up: Option<WorldUp>,
     /// The crop of the subject of photographs without masks, after the warm-up.
@@ -59,6 +62,7 @@ impl ScheduleState {
             light_colour: None,
             gains: Vec::new(),
             lights: Vec::new(),
+            surroundings: None,
             up: None,
             cut: None,
             timeline: Timeline::new(iterations),

@@ -52,8 +52,9 @@ impl Method {
     pub(super) fn overrides(self) -> Value {
         let mut changes = self.model_changes();
         if let Some(changes) = changes.as_object_mut().filter(|_| !self.is_relume()) {
-            // Parts of a published model are not omitted.
+            // Parts of a published model are not omitted, and its light is trained.
             changes.insert("complexity".to_owned(), json!("full"));
+            changes.insert("surrounding_light".to_owned(), json!(false));
         }
         changes
     }

@@ -233,6 +233,10 @@ settings! {
     /// to 4.
     #[serde(default)]
     lights: u32 = 1, in 0..=4;
+    /// Takes the light of captures without masks from the surroundings that the photographs show; only what is clipped in
+    /// them, such as windows and lamps, is trained. false: the whole light is trained.
+    #[serde(default)]
+    surrounding_light: bool = true;
     /// Learns metalness. false: every surface is a dielectric.
     #[serde(default = "learned")]
     metalness: bool = true, decides Metalness;

@@ -11,7 +11,7 @@ use crate::dataset::Dataset;
 use relume_engine::{TrainState, evaluation};
 use relume_scene::{Camera, Field, Gaussians, Model, ShadingOptions};
 
-pub use region::Region;
+pub use region::{Region, ball};
 
 /// SH basis function of degree 0: a coefficient of `0.5 / SH0` shows white, one of `-0.5 / SH0` black.
 const SH0: f32 = 0.282_094_8;

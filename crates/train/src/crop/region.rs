@@ -23,21 +23,26 @@ pub struct Region {
     pub ground: Option<[f64; 4]>,
 }
 
+/// Centre and radius of the ball that `crop` specifies, in the normalised world; `None` without a crop.
+pub fn ball(crop: Crop, data: &Dataset) -> Option<(DVec3, f64)> {
+    match crop {
+        Crop::Named(NamedCrop::None) => None,
+        Crop::Named(NamedCrop::Auto) => Some(relume_capture::focus_region(&data.cameras(PhotoSize::Full))),
+        Crop::Ball([x, y, z, radius]) => {
+            Some(((DVec3::new(x, y, z) + data.offset) * data.scale, radius * data.scale))
+        }
+    }
+}
+
 impl Region {
     /// The region that `crop` specifies; `None` without a crop.
     pub fn of(crop: Crop, state: &TrainState, data: &Dataset) -> Option<Self> {
-        match crop {
-            Crop::Named(NamedCrop::None) => None,
-            Crop::Named(NamedCrop::Auto) => {
-                let (centre, radius) = relume_capture::focus_region(&data.cameras(PhotoSize::Full));
-                let ground = ground::find(state, &data.cameras(PhotoSize::Half), centre, radius);
-                Some(Self { centre: centre.to_array(), radius, ground })
-            }
-            Crop::Ball([x, y, z, radius]) => {
-                let centre = (DVec3::new(x, y, z) + data.offset) * data.scale;
-                Some(Self { centre: centre.to_array(), radius: radius * data.scale, ground: None })
-            }
-        }
+        let (centre, radius) = ball(crop, data)?;
+        let finds_ground = crop == Crop::Named(NamedCrop::Auto);
+        let ground = finds_ground
+            .then(|| ground::find(state, &data.cameras(PhotoSize::Half), centre, radius))
+            .flatten();
+        Some(Self { centre: centre.to_array(), radius, ground })
     }
 
     /// Whether Gaussian `i` of `g` lies inside and is not haze.

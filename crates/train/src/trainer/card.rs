@@ -54,6 +54,7 @@ impl Trainer {
             "colour": self.schedule.light_colour.map(LightColour::rgb),
             "colour_from": self.config.colour_source(),
             "lights": lights,
+            "surroundings": self.schedule.surroundings.as_ref().map(|surroundings| surroundings.card()),
         })
     }
 

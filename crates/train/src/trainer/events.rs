@@ -3,11 +3,12 @@
 use std::sync::Arc;
 
 use crate::error::TrainError;
+use crate::surroundings::SurroundingLight;
 use crate::trainer::Trainer;
 use crate::trainer::preparation::operators_of;
 use crate::{complexity, exposure, initial, light_colour, lights, materials, schedule};
 use relume_engine::{PhotoSize, TrainState, evaluation};
-use relume_scene::SplitLight;
+use relume_scene::{MAX_LIGHTS, SplitLight};
 
 /// The work that is due before a step.
 #[derive(Debug, Clone, Copy, Default)]
@@ -48,6 +49,7 @@ impl Trainer {
         }
         if due.starts_materials {
             let _span = tracing::info_span!("start_materials").entered();
+            self.schedule.surroundings = self.surroundings()?.map(Arc::new);
             self.cut_out()?;
             let mut state = self.engine.state()?.into_owned();
             self.start_light(&mut state);
@@ -99,7 +101,28 @@ impl Trainer {
             colour
         };
         self.schedule.light_colour = Some(colour);
+        if let Some(surroundings) = &self.schedule.surroundings {
+            surroundings.hold(state);
+        }
         materials::initialise(state, colour, self.data.range);
+    }
+
+    /// The light of the surroundings by the present state, which is finite.
+    fn surroundings(&self) -> Result<Option<SurroundingLight>, TrainError> {
+        let state = self.engine.state()?;
+        let is_finite = state.model.check().is_ok();
+        Ok(is_finite.then(|| SurroundingLight::of(&self.config, &state, &self.data)).flatten())
+    }
+
+    /// Measures the light of the surroundings again. A crop has removed them: then their light stays as it was.
+    fn refresh_surroundings(&mut self) -> Result<(), TrainError> {
+        if self.schedule.surroundings.is_some()
+            && self.schedule.cut.is_none()
+            && let Some(now) = self.surroundings()?
+        {
+            self.schedule.surroundings = Some(now.into());
+        }
+        Ok(())
     }
 
     /// Divides photographs by their gains if these differ.
@@ -121,34 +144,51 @@ impl Trainer {
         Ok(())
     }
 
-    /// Splits strong small lights that cast sharp shadows off the environment.
+    /// Splits strong small lights off the environment: sources of the surroundings, or lights that cast sharp shadows.
     fn find_lights(&mut self) -> Result<(), TrainError> {
         let _span = tracing::info_span!("find_lights").entered();
         let most = self.config.lights as usize;
         if most == 0 || self.config.light.is_some() || !self.data.rotations.is_static() {
             return Ok(());
         }
+        self.refresh_surroundings()?;
         let mut state = self.engine.state()?.into_owned();
         if state.model.check().is_err() || !state.model.shading.shades_lights() {
             // The state is not finite or lights are not shaded. After a non-finite state the next step rolls back and
             // the schedule reaches this point again.
             return Ok(());
         }
-        let seen = lights::seen(&state, &self.data.cameras(PhotoSize::Half));
+        let surroundings = self.schedule.surroundings.clone();
+        if let Some(surroundings) = &surroundings {
+            let sources = surroundings.lights(&state, MAX_LIGHTS);
+            surroundings.hold(&mut state);
+            if !sources.is_empty() {
+                self.schedule.lights = Vec::new();
+                self.engine.load(state)?;
+                return self.split_off(&sources);
+            }
+        }
         let before = state.model.lights.lights.clone();
+        let seen = lights::seen(&state, &self.data.cameras(PhotoSize::Half));
         let found = lights::search(&state, &seen, self.data.range, most, &before);
         self.schedule.lights = found.iter().map(|f| f.gain).collect();
         let now: Vec<SplitLight> = found.iter().map(|f| f.light).collect();
-        if now == before {
-            return Ok(());
-        }
-        let split = lights::split(&now, state.model.env_width, state.model.env_height);
         // The texels of a light that is dropped stay unchanged.
         if now.len() > before.len() {
+            let split = lights::split(&now, state.model.env_width, state.model.env_height);
             lights::start(&mut state.model, &split, &found);
+            surroundings.iter().for_each(|surroundings| surroundings.hold(&mut state));
+        }
+        if now.len() > before.len() || surroundings.is_some() {
             self.engine.load(state)?;
         }
-        self.operators = Arc::new(self.operators.with_lights(&split));
+        if now == before { Ok(()) } else { self.split_off(&now) }
+    }
+
+    /// Continues with `lights` split off the environment.
+    fn split_off(&mut self, lights: &[SplitLight]) -> Result<(), TrainError> {
+        let (width, height) = self.operators.size();
+        self.operators = Arc::new(self.operators.with_lights(&lights::split(lights, width, height)));
         Ok(self.engine.light(&self.operators)?)
     }
 

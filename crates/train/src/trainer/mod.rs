@@ -161,6 +161,9 @@ impl Trainer {
         if self.data.rotations.has_rotations() {
             weights.light = schedule::rotating_light_weights(weights.light);
         }
+        if let Some(surroundings) = &self.schedule.surroundings {
+            weights.light = schedule::weights_with_sources(weights.light, surroundings.source_share());
+        }
         let next = self.schedule.step + 1;
         let material = next.saturating_sub(material_start).max(1);
         let sums = self.engine.step(&Step {
@@ -302,5 +305,7 @@ impl Trainer {
     }
 }
 
+#[cfg(test)]
+mod room_tests;
 #[cfg(test)]
 mod tests;
