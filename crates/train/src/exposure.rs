@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use crate::context::StepContext;
 use crate::dataset::{Dataset, Gain};
 use relume_engine::{Photo, PhotoSize, TrainState, linear_from_srgb};
-use relume_scene::Plane;
+use relume_scene::{Camera, Plane};
 
 /// Longest side of the images that are compared, pixels.
 const SIDE: u32 = 96;
@@ -31,7 +31,7 @@ pub fn gains(state: &TrainState, context: &StepContext<'_>, data: &Dataset) -> V
     let logs: Vec<[f32; 3]> = (0..data.len())
         .into_par_iter()
         .map(|i| {
-            let small = reduced(&data.decode_uncached(i, PhotoSize::Full));
+            let small = reduced(&data.decode_uncached(i, PhotoSize::Full), SIDE);
             median_ratio(&small, &context.physical_image(state, &small))
         })
         .collect();
@@ -57,12 +57,18 @@ pub fn spread(gains: &[Gain]) -> [f32; 3] {
     [of(|g| g[1]), of(|g| g[0] / g[1]), of(|g| g[2] / g[1])]
 }
 
-/// `photo`, reduced to a longest side of at most [`SIDE`].
-fn reduced(photo: &Photo) -> Photo {
+/// `camera` with a longest side of at most `most` pixels.
+pub fn reduced_camera(camera: &Camera, most: u32) -> Camera {
+    let longest = camera.width.max(camera.height);
+    let side = |s: u32| (u64::from(s) * u64::from(most.min(longest))).div_ceil(u64::from(longest)) as u32;
+    camera.resized(side(camera.width), side(camera.height))
+}
+
+/// `photo`, reduced to a longest side of at most `most` pixels.
+pub fn reduced(photo: &Photo, most: u32) -> Photo {
     let (width, height) = (photo.camera.width, photo.camera.height);
-    let longest = width.max(height);
-    let side = |s: u32| (u64::from(s) * u64::from(SIDE.min(longest))).div_ceil(u64::from(longest)) as u32;
-    let (w, h) = (side(width), side(height));
+    let camera = reduced_camera(&photo.camera, most);
+    let (w, h) = (camera.width, camera.height);
     let pixels = Plane { width, height, values: photo.pixels.clone() }.resized(w, h).values;
     let alpha = if photo.alpha.is_empty() {
         Vec::new()
@@ -70,7 +76,7 @@ fn reduced(photo: &Photo) -> Photo {
         let values = photo.alpha.iter().map(|a| [*a]).collect();
         Plane { width, height, values }.resized(w, h).values.into_flattened()
     };
-    Photo { camera: photo.camera.resized(w, h), pixels, alpha, light: photo.light, range: photo.range }
+    Photo { camera, pixels, alpha, light: photo.light, range: photo.range }
 }
 
 /// Median of `ln(photograph / image)` by channel, in linear light; 0 with too few usable pixels.
@@ -98,7 +104,7 @@ mod tests {
     use super::*;
     use crate::dataset::divide;
     use relume_compare::largest_difference;
-    use relume_scene::{Camera, DisplayRange};
+    use relume_scene::DisplayRange;
 
     /// A photograph of a colour ramp, half of it behind a mask.
     fn photo(alpha: bool) -> Photo {

@@ -8,7 +8,7 @@ use std::sync::OnceLock;
 use relume_capture::formats::model_file;
 use relume_capture::{Capture, SyntheticOptions, synthetic};
 use relume_engine::Device;
-use relume_spec::training::{Preset, TrainConfig, TrainOverrides};
+use relume_spec::training::{Complexity, Preset, TrainConfig, TrainOverrides};
 use relume_train::time_budget::{Pacing, PacingStart, RecordedPlan};
 use relume_train::{PreparedTraining, TrainError, Trainer, planned_config};
 
@@ -33,11 +33,11 @@ fn capture() -> &'static Capture {
     })
 }
 
-/// A training of 60 steps, unless its plan changes.
+/// A training of 60 steps, unless its plan changes, without decisions, which would take no time by the test's clock.
 fn config(until: Option<&str>, budget: Option<u32>) -> TrainConfig {
     let until = until.map(|text| text.parse().unwrap());
     let config = TrainConfig::new(Preset::Draft, &short_overrides()).unwrap();
-    TrainConfig { until, time_budget_s: budget, ..config }
+    TrainConfig { until, time_budget_s: budget, complexity: Complexity::Full, ..config }
 }
 
 /// Trains with a clock that advances by [`STEP`] a step, at most to `stop`. Returns the time and the messages of the pacing.

@@ -107,7 +107,8 @@ fn another(setting: &Setting) -> Value {
     match (setting.path.as_str(), default_of(setting, Preset::Standard)) {
         ("labels", _) => "both".into(),
         ("white_balance", _) => "neutral".into(),
-        ("crop" | "complexity", _) => "auto".into(),
+        ("crop", _) => "auto".into(),
+        ("complexity", _) => "full".into(),
         ("turntable_capture", _) => "yes".into(),
         ("up", _) => "-y".into(),
         ("method", _) => "3dgs".into(),

@@ -20,6 +20,7 @@ pub mod state;
 #[cfg(test)]
 pub use apply::DIELECTRIC;
 pub use apply::hold_dielectric;
+pub use photographs::MAX_SIDE;
 
 #[cfg(test)]
 mod tests;

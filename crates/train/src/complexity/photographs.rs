@@ -4,6 +4,7 @@
 use crate::complexity::evidence;
 use crate::context::StepContext;
 use crate::dataset::Dataset;
+use crate::exposure;
 use relume_engine::{Photo, PhotoSize, TrainState, evaluation};
 use relume_spec::training::{ComplexitySetting, TrainConfig};
 
@@ -13,6 +14,8 @@ pub const FEW_VIEWS: usize = 12;
 pub const MANY_VIEWS: usize = 64;
 /// Number of photographs on which ablations are tested.
 pub const ABLATION_PHOTOS: usize = 8;
+/// Longest side of the photographs that are compared, pixels.
+pub const MAX_SIDE: u32 = 400;
 
 /// Inputs of a decision besides the state of the training.
 #[derive(Debug, Clone, Copy)]
@@ -40,8 +43,8 @@ impl<'a> DecisionContext<'a> {
     pub fn blending_weights(&self, state: &TrainState, most: usize) -> Vec<f32> {
         let mut sums = vec![0.0f32; state.model.gaussians.len()];
         for i in self.evenly_spaced(most) {
-            let camera = self.photos.camera(i, PhotoSize::Full);
-            sums.iter_mut().zip(evaluation::blending_weights(state, camera)).for_each(|(sum, w)| *sum += w);
+            let camera = exposure::reduced_camera(self.photos.camera(i, PhotoSize::Full), MAX_SIDE);
+            sums.iter_mut().zip(evaluation::blending_weights(state, &camera)).for_each(|(sum, w)| *sum += w);
         }
         let count = self.photos.len().min(most).max(1) as f32;
         sums.iter_mut().for_each(|sum| *sum /= count);
@@ -62,7 +65,7 @@ impl<'a> DecisionContext<'a> {
     fn psnr(&self, error: impl Fn(&Photo) -> f32) -> f32 {
         let decoded =
             self.evenly_spaced(ABLATION_PHOTOS).map(|i| self.photos.decode_uncached(i, PhotoSize::Full));
-        let errors = decoded.map(|photo| (error(&photo), 1.0));
+        let errors = decoded.map(|photo| (error(&exposure::reduced(&photo, MAX_SIDE)), 1.0));
         -10.0 * evidence::weighted_mean(errors).max(1e-10).log10()
     }
 

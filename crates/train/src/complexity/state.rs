@@ -70,13 +70,14 @@ pub enum DecisionPoint {
 }
 
 impl DecisionPoint {
-    /// Number of photographs that its decisions render if there are enough.
-    fn rendered_photographs(self) -> usize {
+    /// Number of renders for its decisions in a training of `photographs` photographs.
+    fn renders(self, photographs: usize) -> usize {
+        let [ablation, few, many] = [ABLATION_PHOTOS, FEW_VIEWS, MANY_VIEWS].map(|n| n.min(photographs));
         match self {
-            Self::Measured | Self::HalfWay => FEW_VIEWS,
-            Self::Trained => 2 * ABLATION_PHOTOS,
+            Self::Measured | Self::HalfWay => few,
+            Self::Trained => 2 * ablation,
             // Sheen, Gaussians by bisection in both branches, prototypes.
-            Self::End => 2 * ABLATION_PHOTOS + 5 * 2 * ABLATION_PHOTOS + MANY_VIEWS + FEW_VIEWS,
+            Self::End => 2 * ablation + 5 * 2 * ablation + many + few,
         }
     }
 }
@@ -97,10 +98,10 @@ fn points(config: &TrainConfig) -> Vec<(u32, DecisionPoint)> {
     ]
 }
 
-/// Number of photographs that the decisions after `steps` steps render, for estimates of the time.
-pub fn rendered_photographs(config: &TrainConfig, steps: u32) -> usize {
+/// Number of renders for the decisions after `steps` steps of a training of `photographs` photographs, for estimates of the time.
+pub fn renders(config: &TrainConfig, steps: u32, photographs: usize) -> usize {
     let due = points(config).into_iter().filter(|(from, _)| *from == steps);
-    due.map(|(_, point)| point.rendered_photographs()).sum()
+    due.map(|(_, point)| point.renders(photographs)).sum()
 }
 
 impl ComplexityState {

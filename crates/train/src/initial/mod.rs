@@ -73,7 +73,7 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
 }
 
 /// The default view for captures without masks.
-fn framing(capture: &Capture) -> Option<Framing> {
+pub fn framing(capture: &Capture) -> Option<Framing> {
     let cameras: Vec<&Camera> = capture.train.iter().map(|view| &view.camera).collect();
     if capture.has_alpha { None } else { relume_capture::framing(&cameras) }
 }

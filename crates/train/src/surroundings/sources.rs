@@ -1,6 +1,6 @@
 //! Sources of light in the surroundings, and the lights with shadows of their own in them.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 use crate::surroundings::SurroundingLight;
 use crate::surroundings::texels::Texels;
@@ -14,8 +14,9 @@ const MIN_LIGHT_SHARE: f32 = 0.03;
 const MIN_LIGHT_RADIUS: f32 = 0.02;
 const MAX_LIGHT_RADIUS: f32 = 0.35;
 
-/// A connected region of clipped texels, each with the mean direction of its clipped pixels.
-pub(super) type Source = Vec<(usize, DVec3)>;
+/// A connected region of clipped texels, each with the mean direction of its clipped pixels. In f32, which the text of a
+/// checkpoint restores exactly.
+pub(super) type Source = Vec<(usize, Vec3)>;
 
 /// The connected regions of sources among `texels`. Columns are connected around the sphere.
 pub(super) fn of(texels: &Texels) -> Vec<Source> {
@@ -39,7 +40,7 @@ pub(super) fn of(texels: &Texels) -> Vec<Source> {
                 }
             }
         }
-        sources.push(region.into_iter().map(|t| (t, texels.clipped_direction(t))).collect());
+        sources.push(region.into_iter().map(|t| (t, texels.clipped_direction(t).as_vec3())).collect());
     }
     sources
 }
@@ -56,7 +57,7 @@ impl SurroundingLight {
             let (mut towards, mut power) = (DVec3::ZERO, 0.0);
             for (t, direction) in source {
                 let excess = (radiance(*t) - 1.0).max(0.0) * texels[*t].1;
-                towards += excess * *direction;
+                towards += excess * direction.as_dvec3();
                 power += excess;
             }
             // The mean direction over a disc of radius rho has the length 1 - rho^2 / 4.

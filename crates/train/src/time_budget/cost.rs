@@ -21,8 +21,10 @@ const PROBE: f64 = 0.4;
 const SEARCH_PROBES: f64 = 400.0;
 /// Cost per Gaussian of comparing one photograph with its render on the host, in probes on the host.
 const COMPARISON_PROBES: f64 = 1.25;
-/// Cost of rendering one photograph of full size on the host, relative to a step with it on the CPU engine.
+/// Cost of rendering one photograph on the host, relative to a step with it on the CPU engine.
 const IMAGE: f64 = 0.35;
+/// Most pixels of a photograph that decisions render.
+const MAX_DECISION_PIXELS: f64 = (complexity::MAX_SIDE * complexity::MAX_SIDE) as f64;
 
 /// Time of one probe, the transmittance from one Gaussian in one direction, seconds or relative.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -135,6 +137,7 @@ impl ScheduleCost {
             + self.measurements_after(position + 1)
             + self.restart(position)
             + self.comparison(position)
+            + self.decisions(position + 1)
     }
 
     /// Cost of a step at the end of the schedule.
@@ -171,24 +174,23 @@ impl ScheduleCost {
         self.measurement(position) + if searches { search } else { 0.0 }
     }
 
-    /// Cost of comparing photographs with renders on the host, before the step at a position: all photographs for their exposures
-    /// and for the Gaussians that none of them shows, some for decisions on the complexity. The last step includes the decisions after it.
+    /// Cost of comparing all photographs with renders on the host, before the step at a position: for their exposures, and for
+    /// the Gaussians that none of them shows.
     pub fn comparison(&self, position: u32) -> f64 {
         let config = &self.config;
         let rounds = [config.is_exposure_round(position), position == schedule::hiding(config)];
         let count = rounds.into_iter().filter(|is_due| *is_due).count() as f64;
         let views = count * self.photographs.count * self.gaussians(position);
-        COMPARISON_PROBES * self.step.probe().host * views + self.decisions(position)
+        COMPARISON_PROBES * self.step.probe().host * views
     }
 
-    /// Cost of the decisions on the complexity before the step at a position, and after the last step.
-    fn decisions(&self, position: u32) -> f64 {
-        let after = position + 1 == self.positions();
-        let steps = std::iter::once(position).chain(after.then_some(self.positions()));
-        let count =
-            steps.map(|steps| complexity::state::rendered_photographs(&self.config, steps)).sum::<usize>();
+    /// Cost of the renders on the host for decisions on the complexity after a step that reaches a position.
+    pub fn decisions(&self, position: u32) -> f64 {
+        let photographs = self.photographs.count as usize;
+        let count = complexity::state::renders(&self.config, position, photographs) as f64;
         let pace = self.step.probe().host / PROBE;
-        count as f64 * IMAGE * pace * StepCost::RELATIVE.of(self.photographs.pixels, self.gaussians(position))
+        let pixels = self.photographs.pixels.min(MAX_DECISION_PIXELS);
+        count * IMAGE * pace * StepCost::RELATIVE.of(pixels, self.gaussians(position))
     }
 
     /// Steps that train materials so far, if visibility is measured there.
@@ -262,10 +264,10 @@ mod tests {
         let full = TrainConfig { complexity: Complexity::Full, ..auto.clone() };
         let photographs = PhotographCost { count: 50.0, pixels: 1e4 };
         let [auto, full] = [&auto, &full].map(|c| ScheduleCost::new(c, photographs, StepCost::RELATIVE));
-        let more = |p: u32| auto.comparison(p) - full.comparison(p);
-        let decided: Vec<u32> = (0..auto.positions()).filter(|p| more(*p) > 0.0).collect();
-        assert_eq!(decided, [375, 375 + 561, 375 + 562, 1_499]);
-        assert!(decided[..3].iter().all(|p| more(*p) < 0.5 * more(1_499)));
+        let decided: Vec<u32> = (0..=auto.positions()).filter(|p| auto.decisions(*p) > 0.0).collect();
+        assert_eq!(decided, [375, 375 + 561, 375 + 562, 1_500]);
+        assert!(decided[..3].iter().all(|p| auto.decisions(*p) < 0.5 * auto.decisions(1_500)));
+        assert_eq!((0..=full.positions()).map(|p| full.decisions(p)).sum::<f64>(), 0.0, "the control");
     }
 
     #[test]

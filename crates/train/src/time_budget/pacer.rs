@@ -129,7 +129,7 @@ impl Pacer {
             self.rates.restart.record(rest(expected.restart), work.restart);
         } else if work.comparison > 0.0 {
             self.rates.comparison.record(rest(expected.comparison), work.comparison);
-        } else {
+        } else if work.measurement > 0.0 {
             self.rates.measurement.record(rest(expected.measurement), work.measurement);
         }
     }
@@ -201,9 +201,10 @@ impl Pacer {
         Work {
             step: cost.step(timeline.position(step)),
             measurement: before.clone().map(|p| cost.measurements_before(p)).sum::<f64>()
-                + after.map(|p| cost.measurements_after(p)).sum::<f64>(),
+                + after.clone().map(|p| cost.measurements_after(p)).sum::<f64>(),
             restart: before.clone().map(|p| cost.restart(p)).sum(),
             comparison: before.map(|p| cost.comparison(p)).sum(),
+            decision: after.map(|p| cost.decisions(p)).sum(),
         }
     }
 
@@ -216,6 +217,8 @@ impl Pacer {
             measurement: rate(&rates.measurement, 1.0) * work.measurement,
             restart: rate(&rates.restart, RESTART_PRIOR) * work.restart,
             comparison: rate(&rates.comparison, 1.0) * work.comparison,
+            // Too few, and too different, for a rate of their own.
+            decision: step * work.decision,
         }
     }
 
@@ -247,15 +250,16 @@ struct Work {
     measurement: f64,
     restart: f64,
     comparison: f64,
+    decision: f64,
 }
 
 impl Work {
     fn has_events(self) -> bool {
-        self.measurement > 0.0 || self.restart > 0.0 || self.comparison > 0.0
+        self.measurement > 0.0 || self.restart > 0.0 || self.comparison > 0.0 || self.decision > 0.0
     }
 
     fn total(self) -> f64 {
-        self.step + self.measurement + self.restart + self.comparison
+        self.step + self.measurement + self.restart + self.comparison + self.decision
     }
 }
 
@@ -271,6 +275,7 @@ fn left_from(cost: &ScheduleCost) -> Vec<Work> {
                 + cost.measurements_after(position + 1),
             restart: after.restart + cost.restart(position),
             comparison: after.comparison + cost.comparison(position),
+            decision: after.decision + cost.decisions(position + 1),
         };
     }
     left

@@ -61,7 +61,9 @@ fn end(machine: &Machine, budget: f64, plans_again: bool) -> (f64, Timeline) {
                 1.3 * truth.measurements_before(p) + 1.7 * truth.restart(p) + 1.4 * truth.comparison(p);
         }
         seconds += timeline.covered(step + 1).map(|p| 1.3 * truth.measurements_after(p)).sum::<f64>();
-        now += seconds * (machine.busy)(now, step);
+        // Most decisions follow the last step: if that were an outlier, no plan could make up for it.
+        let decisions: f64 = timeline.covered(step + 1).map(|p| 1.2 * truth.decisions(p)).sum();
+        now += seconds * (machine.busy)(now, step) + decisions * (machine.busy)(now, 0);
         step += 1;
         pacer.note(&timeline, step, now);
         if machine.measures_finish && now > budget / 2.0 {

@@ -48,7 +48,7 @@ impl PreparedTraining {
     /// [`TrainError::Checkpoint`] names what does not match, [`TrainError::Invalid`] the unsuitable setting or input.
     pub fn resume(capture: &Capture, mut config: TrainConfig, bytes: &[u8]) -> Result<Self, TrainError> {
         let mut data = prepare(capture, &mut config)?;
-        let (mut schedule, state) = checkpoint::decode(bytes, &config)?;
+        let (mut schedule, mut state) = checkpoint::decode(bytes, &config)?;
         world_up::check(schedule.up.as_ref(), &capture.up)?;
         schedule.up.get_or_insert_with(|| capture.up.clone());
         if schedule.order.len() != data.len() {
@@ -64,8 +64,13 @@ impl PreparedTraining {
                     .into(),
             ));
         }
-        if let Some(cut) = &schedule.cut {
-            cut.apply(&mut data, state.model.shading);
+        match &schedule.cut {
+            Some(cut) => cut.apply(&mut data, state.model.shading),
+            // The text of a checkpoint may differ in the last digit.
+            None => {
+                state.model.framing = initial::framing(capture);
+                (state.model.world_scale, state.model.world_offset) = (data.scale, data.offset);
+            }
         }
         schedule.gains.iter().for_each(|gains| data.divide(gains));
         Ok(Self::of(config, data, schedule, state))
