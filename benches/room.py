@@ -1,12 +1,12 @@
-"""Path-traces a furnished room as a phone photographs it, with Cycles (bpy 5.0), in the TensoIR layout.
+"""Path-traces a furnished room as a phone photographs it, with Cycles (bpy 5.0), in the layout of nerfstudio.
 
 Usage: python3 room.py OUTSIDE OTHER OUT
 
 A table with a few things on it stands in a room with a window and a lamp. OUTSIDE is the environment map (.hdr or .exr) behind the window in
 the 60 photographs. OUT/room gets them with points, as structure from motion finds them, and six held-out views (`held_out.json`), each with
 masks of what stands out (`mask.png`: table and things, `table.png`: the table), the albedo, the view without the things (`without.png`) and the
-view with the lamp off and the map OTHER behind the window (`rgba_other.png`). OUT/other.hdr is the light of that other room at the table,
-without table and things. OUT must not exist. It takes about 25 minutes on two cores.
+view with the lamp off and the map OTHER behind the window (`rgba_other.png`). OUT/outside.hdr and OUT/other.hdr are the light of the two
+rooms at the table, without table and things. OUT must not exist. It takes about 25 minutes on two cores.
 """
 
 import json
@@ -290,8 +290,10 @@ def main(outside, other, out):
         studio.hide(studio.things, True)
         studio.shot(matrix, folder / "without.png")
         studio.hide(studio.things, False)
-    studio.light("other", 1.0, 0.0)
     before = studio.exposure
+    studio.panorama(out / "outside.hdr")
+    scale_of(out / "outside.hdr", 2**before)
+    studio.light("other", 1.0, 0.0)
     studio.expose(photographs[::15], out)
     factor = 2 ** (studio.exposure - before)
     studio.light("other", factor, 0.0)

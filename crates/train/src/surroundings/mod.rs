@@ -44,7 +44,7 @@ pub struct SurroundingLight {
     shown: f32,
 }
 
-/// The ball that contains the subject; what lies outside of it are its surroundings.
+/// The ball that contains the subject. Everything outside of it belongs to the surroundings.
 #[derive(Debug, Clone, Copy)]
 struct SubjectBall {
     centre: DVec3,
