@@ -14,8 +14,6 @@ use relume_scene::{Camera, PackedImage, Plane};
 const FIELD: &str = "turntable_capture";
 /// Longest side of the images in which the background is compared, pixels.
 const SIDE: u32 = 64;
-/// Largest alpha of a background pixel.
-const BACKGROUND: f32 = 0.01;
 /// Least number of background pixels that two photographs share.
 const MIN_PIXELS: usize = 64;
 /// Range of the predicted motion of the background, pixels. Larger motions are compared at the upper end.
@@ -162,7 +160,8 @@ fn motion_share(a: &Plane<4>, b: &Plane<4>, motion: f64) -> Option<f64> {
 
 /// Mean over the pairs of background pixels of the squared distance of their colours; `None` if they are too few.
 fn mean_square<'a>(pairs: impl Iterator<Item = (&'a [f32; 4], &'a [f32; 4])>) -> Option<f64> {
-    let is_background = |pixel: &[f32; 4]| pixel[3] <= BACKGROUND;
+    // A pixel at the edge of a mask has the colour of the subject, however small its alpha is.
+    let is_background = |pixel: &[f32; 4]| pixel[3] <= 0.0;
     let (mut sum, mut count) = (0.0, 0);
     for (p, q) in pairs.filter(|(p, q)| is_background(p) && is_background(q)) {
         sum += (0..3).map(|c| f64::from(p[c] - q[c]).powi(2)).sum::<f64>();

@@ -10,6 +10,8 @@ enum Background {
     Still,
     Moving,
     Plain,
+    /// Black, with a nearly transparent edge of the subject, which stays in the middle of the picture.
+    SoftEdge,
 }
 
 /// A camera at `azimuth` degrees that looks at the origin.
@@ -26,7 +28,12 @@ fn view(name: usize, camera: Camera, offset: usize, background: Background) -> C
         let (dx, dy) = (x as f32 - 31.5, y as f32 - 31.5);
         let stripe = if background == Background::Plain { 0 } else { (x + offset) * (x + offset + y) % 13 };
         let level = 0.2 + 0.05 * stripe as f32;
-        [level, 0.5 * level, 0.3, if dx.hypot(dy) < 14.0 { 1.0 } else { 0.0 }]
+        match dx.hypot(dy) {
+            radius if radius < 14.0 => [level, 0.5 * level, 0.3, 1.0],
+            radius if background == Background::SoftEdge && radius < 18.0 => [0.9, 0.8, 0.7, 0.004],
+            _ if background == Background::SoftEdge => [0.0; 4],
+            _ => [level, 0.5 * level, 0.3, 0.0],
+        }
     };
     let pixels = (0..(SIZE * SIZE) as usize).map(pixel).collect();
     let image = PackedImage::new(&ImageRgba { width: SIZE, height: SIZE, pixels }, BitDepth::Eight);
@@ -65,6 +72,7 @@ fn light_stands_still_without_evidence_or_by_choice() {
     for (background, choice) in [
         (Background::Moving, TurntableCapture::Auto),
         (Background::Plain, TurntableCapture::Auto),
+        (Background::SoftEdge, TurntableCapture::Auto),
         (Background::Still, TurntableCapture::No),
     ] {
         let mut views = around(background);
