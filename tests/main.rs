@@ -5,6 +5,7 @@
 
 mod architecture;
 mod backup;
+mod calibrate;
 mod capture_check;
 mod crash;
 mod deletion;

@@ -128,6 +128,13 @@ fn light(card: &Value) -> Vec<String> {
         let towards = numbers(found.get("direction"));
         out.push(format!("dominant light towards {towards}, radius {radius:.1} degrees; {evidence}"));
     }
+    out.extend(card.get("calibration").map(|calibration| {
+        if let Some(error) = calibration.get("error") {
+            return format!("not calibrated: {}", plain(error));
+        }
+        let [scale, reflectance] = ["scale", "reflectance"].map(|key| numbers(calibration.get(key)));
+        format!("calibrated: albedo multiplied and light divided by {scale}, for a surface of reflectance {reflectance}")
+    }));
     out
 }
 

@@ -4,6 +4,7 @@ mod args;
 mod artifacts;
 mod backup;
 mod bench;
+mod calibrate;
 mod capture;
 mod database;
 pub mod demo;
@@ -73,6 +74,8 @@ enum Command {
     Sample(sample::SampleArgs),
     /// Compare a model with the held-out views and the ground truth of a capture.
     Eval(eval::EvalArgs),
+    /// Scale the albedo of a model to the known reflectance of a surface in a photograph.
+    Calibrate(calibrate::CalibrateArgs),
     /// Measure speed and accuracy on this machine.
     Bench(bench::BenchArgs),
     /// Print the contents of a model, and the complexity decisions of its training with their evidence.
@@ -122,6 +125,7 @@ fn run(command: Command) -> ExitCode {
         Command::Render(args) => render::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Eval(args) => eval::run(&args),
+        Command::Calibrate(args) => calibrate::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::Export(args) => export::run(&args),

@@ -54,7 +54,7 @@ pub(super) struct TrainArgs {
     /// contains all settings.
     #[arg(long, value_name = "FILE", conflicts_with_all = [
         "preset", "time", "until", "method", "resolution", "iterations", "seed", "light", "light_rotations", "turntable_capture", "white_balance",
-        "grey_card", "crop", "set",
+        "grey_card", "reflectance", "crop", "set",
     ])]
     plan: Option<PathBuf>,
     /// Method to train: `relume`, or the model of a published system: `3dgs`, `gaussian-shader`, `gs-ir`, `r3dg`, `article`
@@ -98,6 +98,10 @@ pub(super) struct TrainArgs {
     /// takes its mean colour as the colour of the light. Replaces `--white-balance`.
     #[arg(long, value_name = "PHOTO:X,Y,WIDTH,HEIGHT")]
     grey_card: Option<GreyCard>,
+    /// Known linear reflectance of the grey card, 0.01 to 1 (a common one has 0.18). Relume then scales the albedo of the model so that the
+    /// card has it.
+    #[arg(long, value_name = "R", requires = "grey_card")]
+    reflectance: Option<f32>,
     /// For photographs without masks: the part of the scene that becomes the model. The rest of the scene only lights it. `none`:
     /// the whole scene; `auto`: the object on the ground in the ball around which the cameras are placed; or a ball in units of
     /// the capture, +Z up.
@@ -275,7 +279,8 @@ fn all_overrides(args: &TrainArgs) -> CommandResult<TrainOverrides> {
         overrides.crop = args.crop;
     }
     if args.grey_card.is_some() {
-        overrides.grey_card = args.grey_card.clone();
+        let reflectance = args.reflectance;
+        overrides.grey_card = args.grey_card.clone().map(|card| GreyCard { reflectance, ..card });
     }
     Ok(overrides)
 }

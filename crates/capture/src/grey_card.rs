@@ -4,7 +4,8 @@ use std::path::Path;
 
 use crate::images::load_image;
 use crate::light_rotations::{NO_SUCH_PHOTO, SEVERAL_PHOTOS, is_named};
-use crate::{Capture, CaptureError, CaptureFiles, ImportLimits, ImportOptions};
+use crate::types::MeasuredCard;
+use crate::{Capture, CaptureError, CaptureFiles, ImportLimits, ImportOptions, Up, patch_camera};
 use relume_scene::{ImageRgba, srgb};
 use relume_spec::training::GreyCard;
 
@@ -19,15 +20,9 @@ fn refused(card: &GreyCard, field: &str, reason: impl Into<String>) -> CaptureEr
 
 /// Mean colour of the rectangle of `photograph`, linear Rec.709, weighted with alpha.
 fn colour(card: &GreyCard, photograph: &ImageRgba) -> Result<[f32; 3], CaptureError> {
-    let (columns, rows) = (card.x as usize..right(card), card.y as usize..bottom(card));
-    if columns.is_empty() || columns.end > photograph.width as usize {
-        let reason = format!("the rectangle must lie within the {} columns", photograph.width);
-        return Err(refused(card, "grey_card.width", reason));
-    }
-    if rows.is_empty() || rows.end > photograph.height as usize {
-        let reason = format!("the rectangle must lie within the {} rows", photograph.height);
-        return Err(refused(card, "grey_card.height", reason));
-    }
+    check_inside(card, (photograph.width, photograph.height), "grey_card")?;
+    let (right, bottom) = card.end();
+    let (columns, rows) = (card.x as usize..right as usize, card.y as usize..bottom as usize);
     let (mut sum, mut weight) = ([0.0f64; 3], 0.0f64);
     for row in rows {
         let start = row * photograph.width as usize;
@@ -52,16 +47,28 @@ fn colour(card: &GreyCard, photograph: &ImageRgba) -> Result<[f32; 3], CaptureEr
     Ok(mean.map(|v| v as f32))
 }
 
-fn right(card: &GreyCard) -> usize {
-    (card.x as usize).saturating_add(card.width as usize)
-}
-
-fn bottom(card: &GreyCard) -> usize {
-    (card.y as usize).saturating_add(card.height as usize)
+/// Refuses a rectangle, the setting `name`, that does not lie within a photograph of `(width, height)` pixels.
+pub(super) fn check_inside(
+    rectangle: &GreyCard,
+    (width, height): (u32, u32),
+    name: &str,
+) -> Result<(), CaptureError> {
+    let (right, bottom) = rectangle.end();
+    let refuse = |side: &str, what: String| {
+        let reason = format!("the rectangle must lie within the {what}");
+        Err(refused(rectangle, &format!("{name}.{side}"), reason))
+    };
+    if rectangle.width == 0 || right > width {
+        return refuse("width", format!("{width} columns"));
+    }
+    if rectangle.height == 0 || bottom > height {
+        return refuse("height", format!("{height} rows"));
+    }
+    Ok(())
 }
 
 impl Capture {
-    /// Measures the colour of `card` in the folder or archive at `path`, from which this capture was imported. The
+    /// Measures the colour of `card` in the folder or archive at `path`, from which this capture was imported with `up`. The
     /// photograph is read as it is stored: at its own size, with its lens distortion, and without a mask file.
     ///
     /// # Errors
@@ -71,6 +78,7 @@ impl Capture {
         &mut self,
         path: &Path,
         card: &GreyCard,
+        up: Up,
         limits: &ImportLimits,
     ) -> Result<(), CaptureError> {
         let views = self.train.iter().chain(&self.test);
@@ -81,7 +89,8 @@ impl Capture {
         }
         let options = ImportOptions { limits: *limits, ..ImportOptions::default() };
         let (photograph, _) = load_image(&CaptureFiles::open(path, &options.limits)?, photo, &options)?;
-        self.grey_card = Some(colour(card, &photograph)?);
+        let colour = colour(card, &photograph)?;
+        self.grey_card = Some(MeasuredCard { colour, camera: patch_camera(path, limits, up, card)? });
         Ok(())
     }
 }
@@ -103,7 +112,7 @@ mod tests {
 
     fn card(rectangle: [u32; 4]) -> GreyCard {
         let [x, y, width, height] = rectangle;
-        GreyCard { photo: "a.png".into(), x, y, width, height }
+        GreyCard { photo: "a.png".into(), x, y, width, height, reflectance: None }
     }
 
     #[test]

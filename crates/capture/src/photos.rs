@@ -1,6 +1,6 @@
 //! Loads the posed photographs that an importer has listed. All layouts share this step.
 
-use glam::DMat4;
+use glam::{DMat4, DVec2};
 use rayon::prelude::*;
 
 use crate::check::ImageChecks;
@@ -200,6 +200,27 @@ pub(super) fn camera_at(photo: &PhotoEntry, stored: (u32, u32)) -> Result<Camera
         Distortion::None => Ok(camera),
         distortion => undistort::pinhole(&camera, &distortion).map_err(|reason| bent(photo, reason)),
     }
+}
+
+/// The camera of a photograph of `stored` pixels, distortion removed, and the positions in its picture of `points` of the stored photograph,
+/// pixels; `None` for a point that the lens cannot image.
+///
+/// # Errors
+/// Names the file and field of an unusable pose or lens.
+pub(super) fn straightened<const N: usize>(
+    photo: &PhotoEntry,
+    stored: (u32, u32),
+    points: [DVec2; N],
+) -> Result<(Camera, [Option<DVec2>; N]), CaptureError> {
+    let distorted = camera(photo, intrinsics(photo, stored)?, stored)?;
+    let straight = camera_at(photo, stored)?;
+    let moved = points.map(|point| {
+        let x = (point.x - distorted.cx) / distorted.fx;
+        let y = (point.y - distorted.cy) / distorted.fy;
+        let p = photo.lens.distortion.undistort(DVec2::new(x, y))?;
+        Some(DVec2::new(straight.fx * p.x + straight.cx, straight.fy * p.y + straight.cy))
+    });
+    Ok((straight, moved))
 }
 
 /// The intrinsics at the stored size. An error also names the photograph.

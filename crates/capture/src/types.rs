@@ -50,6 +50,15 @@ pub struct SceneBounds {
     pub radius: f64,
 }
 
+/// A grey card in a photograph.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MeasuredCard {
+    /// Its colour in the photograph, linear Rec.709.
+    pub colour: [f32; 3],
+    /// The camera that sees only the card.
+    pub camera: Camera,
+}
+
 /// A capture ready for training: +Z up, OpenCV cameras, no distortion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Capture {
@@ -69,8 +78,8 @@ pub struct Capture {
     pub lights: BTreeMap<String, EnvMap>,
     /// The measured light of the photographs; no importer sets it.
     pub measured_light: Option<EnvMap>,
-    /// Measured colour of a grey card in the photographs, linear Rec.709; no importer sets it.
-    pub grey_card: Option<[f32; 3]>,
+    /// The grey card in the photographs; no importer sets it.
+    pub grey_card: Option<MeasuredCard>,
     /// The direction in the files that became +Z.
     pub up: WorldUp,
     /// Note that the importer derived the rotations of the light from the poses; `None` if it did not.

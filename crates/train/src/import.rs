@@ -51,7 +51,7 @@ pub fn import_in_world(
     memory::check(&PhotographSizes::of(&capture), config, budget)?;
     capture.set_light_rotations(&config.light_rotation_per_photo)?;
     if let Some(card) = &config.grey_card {
-        capture.measure_grey_card(path, card, limits)?;
+        capture.measure_grey_card(path, card, up, limits)?;
     }
     Ok(capture)
 }
@@ -74,6 +74,7 @@ pub fn turntable_of_card(card: &Value) -> Result<TurntableCapture, TrainError> {
 mod tests {
     use super::*;
     use crate::Trainer;
+    use crate::calibration::calibrate;
     use relume_capture::{SyntheticOptions, synthetic, write_archive};
     use relume_engine::Device;
     use relume_scene::{BitDepth, PackedImage, srgb};
@@ -99,7 +100,7 @@ mod tests {
     }
 
     fn config(photo: &str, x: u32) -> TrainConfig {
-        let card = GreyCard { photo: photo.into(), x, y: 4, width: 8, height: 6 };
+        let card = GreyCard { photo: photo.into(), x, y: 4, width: 8, height: 6, reflectance: None };
         let overrides = TrainOverrides {
             // Half the stored size; the card is measured in the photograph at its stored size.
             resolution: Some(16),
@@ -119,7 +120,7 @@ mod tests {
         let mut capture =
             import_for_training(file.path(), &config, &ImportLimits::default(), MemoryBudget::unbounded())
                 .unwrap();
-        let colour = capture.grey_card.unwrap();
+        let colour = capture.grey_card.unwrap().colour;
         assert!((0..3).all(|c| (colour[c] - CARD[c]).abs() < 5e-3), "{colour:?}");
         let trained = |config: &TrainConfig, capture: &Capture| {
             let mut trainer = Trainer::new(capture, config.clone(), &Device::Cpu).unwrap();
@@ -142,6 +143,32 @@ mod tests {
         assert_ne!(by_card, trained(&estimated, &capture), "the control");
         let refused = Trainer::new(&capture, config, &Device::Cpu).err().unwrap();
         assert!(matches!(refused, TrainError::Invalid(m) if m.starts_with("grey_card")));
+    }
+
+    #[test]
+    fn grey_card_of_known_reflectance_determines_the_albedo() {
+        let (file, mut config) = (capture_with_a_card(), config("train_001/rgba.png", 14));
+        let limits = ImportLimits::default();
+        let mut trained = |reflectance: Option<f32>| {
+            let card = config.grey_card.as_mut().unwrap();
+            (card.y, card.width, card.height, card.reflectance) = (18, 4, 3, reflectance);
+            let capture =
+                import_for_training(file.path(), &config, &limits, MemoryBudget::unbounded()).unwrap();
+            let mut trainer = Trainer::new(&capture, config.clone(), &Device::Cpu).unwrap();
+            while !trainer.is_done() {
+                trainer.step().unwrap();
+            }
+            (trainer.model().unwrap(), capture.grey_card.unwrap().camera)
+        };
+        let scale = |(mut model, camera): (relume_scene::Model, _)| {
+            calibrate(&mut model, &camera, [0.3; 3], &Device::Cpu).unwrap().scale
+        };
+        let calibrated = trained(Some(0.3));
+        assert_eq!(calibrated.0.card["calibration"]["reflectance"], json!([0.3f32, 0.3f32, 0.3f32]));
+        assert!(scale(calibrated).iter().all(|s| (s - 1.0).abs() < 0.01));
+        let control = trained(None);
+        assert!(control.0.card.get("calibration").is_none());
+        assert!(scale(control).iter().any(|s| (s - 1.0).abs() > 0.1), "the control");
     }
 
     #[test]

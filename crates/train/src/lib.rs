@@ -1,6 +1,7 @@
 //! Joint optimisation of geometry, materials and light: initialisation, schedule, density control, checkpoints,
 //! trainer, evaluation and rendering.
 
+pub mod calibration;
 mod checkpoint;
 pub mod complexity;
 mod context;

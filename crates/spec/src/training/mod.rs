@@ -233,6 +233,9 @@ settings! {
     /// to 4.
     #[serde(default)]
     lights: u32 = 1, in 0..=4;
+    /// Restarts an unknown light with albedo, by the shading and shadows of neighbouring surfaces. false: only steps change it.
+    #[serde(default)]
+    environment_restarts: bool = true;
     /// Takes the light of captures without masks from the surroundings that the photographs show; only what is clipped in
     /// them, such as windows and lamps, is trained. false: the whole light is trained.
     #[serde(default)]
@@ -426,11 +429,7 @@ impl TrainConfig {
         }
         self.white_balance.check()?;
         self.crop.check(self.warm_up)?;
-        if let Some(card) = &self.grey_card {
-            for (side, pixels) in [("width", card.width), ("height", card.height)] {
-                check_range(&format!("grey_card.{side}"), pixels, 1..=u32::MAX)?;
-            }
-        }
+        self.grey_card.iter().try_for_each(GreyCard::check)?;
         if let Some((name, _)) = self.light_rotation_per_photo.iter().find(|(_, turn)| !turn.is_finite()) {
             return Err(ConfigError::new(format!("light_rotation_per_photo.{name}"), "must be finite"));
         }

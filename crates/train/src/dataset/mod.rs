@@ -10,7 +10,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use cache::PhotoCache;
-use relume_capture::{Capture, CaptureView};
+use relume_capture::{Capture, CaptureView, MeasuredCard};
 use relume_engine::{LightRotation, LightRotations, Photo, PhotoSize};
 use relume_scene::{Camera, DisplayRange};
 use relume_spec::training::TrainConfig;
@@ -47,6 +47,8 @@ pub struct Dataset {
     pub names: Vec<String>,
     /// Range of the photographs: `Extended` if one of them is scene-referred with values above 1.
     pub range: DisplayRange,
+    /// The grey card in the photographs, in the capture's world.
+    pub card: Option<MeasuredCard>,
 }
 
 impl Dataset {
@@ -72,7 +74,8 @@ impl Dataset {
         let photos: Vec<_> = capture.train.par_iter().zip(&lights).map(photo).collect();
         let names = capture.train.iter().map(|view| view.name.clone()).collect();
         let cache = PhotoCache::new(cache_bytes(photos.iter().map(|p| p.decoded_bytes(PhotoSize::Full))));
-        Self { photos, cache, scale, offset, background, rotations, has_alpha, names, range }
+        let card = capture.grey_card;
+        Self { photos, cache, scale, offset, background, rotations, has_alpha, names, range, card }
     }
 
     /// Opaque photographs with the pixels of a test, at 16 bits.
@@ -99,6 +102,7 @@ impl Dataset {
             has_alpha: false,
             names: Vec::new(),
             range: DisplayRange::Unit,
+            card: None,
         }
     }
 

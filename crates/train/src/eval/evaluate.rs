@@ -4,15 +4,14 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use crate::calibration::with_scaled_albedo;
 use crate::eval::exposure::matched;
 use crate::eval::image::{DisplayImage, psnr};
 use crate::eval::layers::{albedo_psnr, masked_psnr};
 use crate::eval::lpips::Lpips;
 use crate::eval::report::{AlbedoScores, ImageScores, RelitScores, Report};
 use crate::eval::totals::{ImageTotals, LayerTotals, Mean};
-use crate::eval::views::{
-    ViewLayers, foreground, is_cropped, light_of, photograph, relit, shown_by, with_scaled_albedo,
-};
+use crate::eval::views::{ViewLayers, foreground, is_cropped, light_of, photograph, relit, shown_by};
 use crate::render::{RenderError, Renderer, RotatedLight};
 use relume_capture::{Capture, CaptureView};
 use relume_engine::{Device, DeviceError};

@@ -137,22 +137,9 @@ pub(crate) fn foreground(image: &PackedImage) -> Vec<bool> {
     image.pixels().map(|p| p[3] > 0.5).collect()
 }
 
-/// The model with its albedo multiplied per channel. Albedo is linear in prototypes and residuals (article Eq. 23),
-/// so both are multiplied and nothing else changes.
-pub(crate) fn with_scaled_albedo(model: &Model, scale: [f32; 3]) -> Model {
-    let mut scaled = model.clone();
-    for prototype in &mut scaled.prototypes {
-        (0..3).for_each(|k| prototype[k] *= scale[k]);
-    }
-    let residuals = scaled.gaussians.field_mut(relume_scene::Field::Residual);
-    residuals.iter_mut().enumerate().for_each(|(i, v)| *v *= scale[i % 3]);
-    scaled
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use relume_scene::{Field, Gaussians};
 
     fn one_pixel(rgb: [f32; 3], alpha: f32) -> Frame {
         let planes = [(Output::Rgb, rgb.to_vec()), (Output::Alpha, vec![alpha])].into();
@@ -181,18 +168,5 @@ mod tests {
         for (found, expected) in shown.iter().flatten().zip([1.0, 1.0, 1.0, 0.6, 0.7, 0.8, 0.2, 0.4, 0.6]) {
             assert!((found - expected).abs() < 1e-6, "{shown:?}");
         }
-    }
-
-    #[test]
-    fn albedo_scaling_changes_only_prototypes_and_residuals() {
-        let mut gaussians = Gaussians::zeroed(2, 1, 0, 0);
-        gaussians.fields_mut().for_each(|(_, _, d)| d.fill(1.0));
-        let model = Model::new(gaussians, vec![[0.5; 3]], vec![[0.0; 3]; 2], (2, 1));
-        let mut scaled = with_scaled_albedo(&model, [2.0, 3.0, 4.0]);
-        assert_eq!(scaled.prototypes, vec![[1.0, 1.5, 2.0]]);
-        assert_eq!(scaled.gaussians.field(Field::Residual), &[2.0, 3.0, 4.0, 2.0, 3.0, 4.0]);
-        scaled.prototypes.clone_from(&model.prototypes);
-        scaled.gaussians.field_mut(Field::Residual).fill(1.0);
-        assert_eq!(scaled, model);
     }
 }

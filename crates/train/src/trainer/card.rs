@@ -2,11 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use crate::calibration::calibrate;
 use crate::dataset::Gain;
 use crate::time_budget::plan_card;
 use crate::trainer::Trainer;
 use crate::{TrainError, exposure, sampling_rate};
-use relume_engine::PhotoSize;
+use relume_engine::{Device, PhotoSize};
 use relume_scene::light::LightColour;
 use relume_scene::{Model, SplitLight};
 
@@ -37,7 +38,18 @@ impl Trainer {
         if let Some((field, plan)) = plan_card(&self.config, &self.schedule.timeline) {
             model.card[field] = plan;
         }
+        self.calibrate(&mut model);
         Ok(model)
+    }
+
+    /// Scales albedo and light to the reflectance of the grey card, if it is known. The model card has the reason if that is impossible.
+    fn calibrate(&self, model: &mut Model) {
+        let reflectance = self.config.grey_card.as_ref().and_then(|card| card.reflectance);
+        if let Some((card, reflectance)) = self.data.card.zip(reflectance)
+            && let Err(error) = calibrate(model, &card.camera, [reflectance; 3], &Device::Cpu)
+        {
+            model.card["calibration"] = serde_json::json!({ "error": error.to_string() });
+        }
     }
 
     /// Findings about the light.

@@ -119,8 +119,8 @@ fn prepare(capture: &Capture, config: &mut TrainConfig) -> Result<Dataset, Train
     }
     if config.grey_card.is_some() {
         let missing = "grey_card: the colour of the card was not measured";
-        let colour = capture.grey_card.ok_or_else(|| TrainError::Invalid(missing.into()))?;
-        config.white_balance = WhiteBalance::Colour(colour);
+        let card = capture.grey_card.ok_or_else(|| TrainError::Invalid(missing.into()))?;
+        config.white_balance = WhiteBalance::Colour(card.colour);
     }
     Ok(Dataset::new(capture, config))
 }

@@ -1,0 +1,185 @@
+//! Scales the albedo of a model to the known reflectance of one surface.
+//!
+//! Photographs determine the product of albedo and light, not the level of either. One surface of known reflectance determines both:
+//! albedo is multiplied by a number per channel, and the light divided by it.
+
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use crate::render::{RenderError, Renderer};
+use relume_engine::{Device, DeviceError};
+use relume_scene::{Camera, Field, Model, softplus, softplus_inverse};
+use relume_spec::rendering::{Output, Tier};
+use relume_spec::training::GreyCard;
+
+/// Least mean coverage of the patch: below it the model has no surface there.
+const MIN_COVERAGE: f32 = 0.5;
+/// Least albedo of a channel that is scaled; a darker one gives no reliable ratio.
+const MIN_ALBEDO: f32 = 0.005;
+
+/// A calibration by one patch.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Calibration {
+    /// Known reflectance of the patch, linear Rec.709.
+    pub reflectance: [f32; 3],
+    /// Mean albedo of the model in the patch before the calibration.
+    pub albedo_before: [f32; 3],
+    /// Factor on the albedo of the model, by channel. The light is divided by it.
+    pub scale: [f32; 3],
+}
+
+/// Errors of a calibration.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrationError {
+    /// The model has no albedo.
+    #[error("the model has colours only, no albedo to calibrate")]
+    NoMaterials,
+    /// A reflectance outside of the accepted range.
+    #[error("reflectance: {0} must be between 0.01 and 1")]
+    Reflectance(f32),
+    /// The patch shows too little of the model.
+    #[error("patch: the model covers {:.0} % of it; choose a patch on the subject", 100.0 * .0)]
+    NotCovered(f32),
+    /// The model is too dark in the patch.
+    #[error(
+        "patch: the albedo of the model there is {0:.4} in a channel, too dark to be scaled; choose a brighter patch"
+    )]
+    TooDark(f32),
+    /// The patch could not be rendered.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// The device failed.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+}
+
+/// Calibrates `model` by the surface that `patch` sees, whose `reflectance` is known.
+///
+/// # Errors
+/// [`CalibrationError`] names the patch or the reflectance. The model is then unchanged.
+pub fn calibrate(
+    model: &mut Model,
+    patch: &Camera,
+    reflectance: [f32; 3],
+    device: &Device,
+) -> Result<Calibration, CalibrationError> {
+    if let Some(bad) = reflectance.iter().find(|r| !GreyCard::REFLECTANCE.contains(*r)) {
+        return Err(CalibrationError::Reflectance(*bad));
+    }
+    if !model.has_materials() {
+        return Err(CalibrationError::NoMaterials);
+    }
+    let albedo_before = albedo_in(model, patch, device)?;
+    let scale = std::array::from_fn(|c| reflectance[c] / albedo_before[c]);
+    *model = with_scaled_albedo(model, scale);
+    for raw in &mut model.env_raw {
+        *raw = std::array::from_fn(|c| softplus_inverse(softplus(raw[c]) / scale[c]));
+    }
+    let calibration = Calibration { reflectance, albedo_before, scale };
+    if model.card.is_object() {
+        model.card["calibration"] = serde_json::json!(calibration);
+    }
+    Ok(calibration)
+}
+
+/// Mean albedo of `model` in the picture of `patch`.
+fn albedo_in(model: &Model, patch: &Camera, device: &Device) -> Result<[f32; 3], CalibrationError> {
+    let renderer = Renderer::on(Arc::new(model.clone()), device)?;
+    let light = renderer.prepare_light(model.recovered_light())?;
+    let frame = renderer.render(patch, &light, Tier::Standard, &[Output::Albedo])?;
+    let plane = |output| frame.planes.get(&output).map_or(&[][..], Vec::as_slice);
+    let (albedo, alpha) = (plane(Output::Albedo).as_chunks::<3>().0, plane(Output::Alpha));
+    let covered: f32 = alpha.iter().sum();
+    let coverage = covered / alpha.len().max(1) as f32;
+    if !(coverage >= MIN_COVERAGE) {
+        return Err(CalibrationError::NotCovered(coverage));
+    }
+    let mean: [f32; 3] =
+        std::array::from_fn(|c| albedo.iter().zip(alpha).map(|(v, a)| v[c] * a).sum::<f32>() / covered);
+    match mean.iter().find(|v| !(**v >= MIN_ALBEDO)) {
+        Some(dark) => Err(CalibrationError::TooDark(*dark)),
+        None => Ok(mean),
+    }
+}
+
+/// The model with its albedo multiplied per channel. Albedo is linear in prototypes and residuals (article Eq. 23),
+/// so both are multiplied and nothing else changes.
+pub(crate) fn with_scaled_albedo(model: &Model, scale: [f32; 3]) -> Model {
+    let mut scaled = model.clone();
+    for prototype in &mut scaled.prototypes {
+        (0..3).for_each(|k| prototype[k] *= scale[k]);
+    }
+    let residuals = scaled.gaussians.field_mut(Field::Residual);
+    residuals.iter_mut().enumerate().for_each(|(i, v)| *v *= scale[i % 3]);
+    scaled
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use relume_compare::largest_difference;
+    use relume_scene::Gaussians;
+
+    const ALBEDO: [f32; 3] = [0.4, 0.3, 0.2];
+
+    /// An opaque disc of one albedo at the origin, under a uniform light of radiance 1.
+    fn disc() -> Model {
+        let mut g = Gaussians::zeroed(1, 1, 0, 0);
+        g.row_mut(Field::LogScale, 0).copy_from_slice(&[-1.0, -1.0, -4.0]);
+        g.row_mut(Field::Quaternion, 0)[0] = 1.0;
+        g.row_mut(Field::OpacityLogit, 0)[0] = 8.0;
+        g.row_mut(Field::Normal, 0)[2] = 1.0;
+        Model::new(g, vec![ALBEDO], vec![[softplus_inverse(1.0); 3]; 8], (4, 2))
+    }
+
+    /// The view of a small part of the disc, or of nothing.
+    fn above(x: f64) -> Camera {
+        let eye = DVec3::new(x, 0.0, 2.0);
+        Camera::look_at(eye, DVec3::new(x, 0.0, 0.0), DVec3::Y, 0.02, (4, 4)).unwrap()
+    }
+
+    #[test]
+    fn calibration_scales_albedo_and_keeps_the_diffuse_light() {
+        let (before, wanted) = (disc(), [0.2, 0.3, 0.4]);
+        let mut model = before.clone();
+        model.card = serde_json::json!({});
+        let done = calibrate(&mut model, &above(0.0), wanted, &Device::Cpu).unwrap();
+        assert!(largest_difference(&done.albedo_before, &ALBEDO) < 1e-3, "{done:?}");
+        let after = albedo_in(&model, &above(0.0), &Device::Cpu).unwrap();
+        assert!(largest_difference(&after, &wanted) < 1e-3, "{after:?}");
+        assert!(largest_difference(&ALBEDO, &wanted) > 0.1, "the control: the albedo before");
+        for c in 0..3 {
+            let reflected = |m: &Model| m.prototypes[0][c] * softplus(m.env_raw[0][c]);
+            assert!((reflected(&model) / reflected(&before) - 1.0).abs() < 1e-3);
+        }
+        assert_eq!(model.card["calibration"]["reflectance"], serde_json::json!(wanted));
+    }
+
+    #[test]
+    fn calibration_refuses_patches_that_determine_nothing() {
+        let mut model = disc();
+        let empty = calibrate(&mut model, &above(9.0), [0.2; 3], &Device::Cpu).unwrap_err();
+        assert!(matches!(empty, CalibrationError::NotCovered(_)), "{empty}");
+        let error = calibrate(&mut model, &above(0.0), [0.2, f32::NAN, 0.2], &Device::Cpu).unwrap_err();
+        assert!(matches!(error, CalibrationError::Reflectance(_)), "{error}");
+        assert_eq!(model, disc(), "unchanged");
+        model.prototypes = vec![[0.4, 0.001, 0.4]];
+        let dark = calibrate(&mut model, &above(0.0), [0.2; 3], &Device::Cpu).unwrap_err();
+        assert!(matches!(dark, CalibrationError::TooDark(_)), "{dark}");
+    }
+
+    #[test]
+    fn albedo_scaling_changes_only_prototypes_and_residuals() {
+        let mut gaussians = Gaussians::zeroed(2, 1, 0, 0);
+        gaussians.fields_mut().for_each(|(_, _, d)| d.fill(1.0));
+        let model = Model::new(gaussians, vec![[0.5; 3]], vec![[0.0; 3]; 2], (2, 1));
+        let mut scaled = with_scaled_albedo(&model, [2.0, 3.0, 4.0]);
+        assert_eq!(scaled.prototypes, vec![[1.0, 1.5, 2.0]]);
+        assert_eq!(scaled.gaussians.field(Field::Residual), &[2.0, 3.0, 4.0, 2.0, 3.0, 4.0]);
+        scaled.prototypes.clone_from(&model.prototypes);
+        scaled.gaussians.field_mut(Field::Residual).fill(1.0);
+        assert_eq!(scaled, model);
+    }
+}
