@@ -55,6 +55,7 @@ impl Method {
             // Parts of a published model are not omitted, and its light is trained.
             changes.insert("complexity".to_owned(), json!("full"));
             changes.insert("surrounding_light".to_owned(), json!(false));
+            changes.insert("environment_restarts".to_owned(), json!(false));
         }
         changes
     }

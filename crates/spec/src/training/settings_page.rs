@@ -23,6 +23,7 @@ const COSTS: &[(&str, &str)] = &[
     ("warm_up", "a larger value takes less time"),
     ("checkpoint_every", "a smaller value writes more"),
     ("lights", "one shadow test a light"),
+    ("environment_restarts", "a measurement of visibility before each restart"),
     ("shading.shade_at", "`pixel` takes more time"),
 ];
 

@@ -7,6 +7,7 @@
 //! the same light through the visibility field: a scene with soft shadows needs none.
 
 mod detected_light;
+mod environment;
 mod neighbours;
 mod split;
 
@@ -14,6 +15,7 @@ use rayon::prelude::*;
 
 use crate::materials;
 use detected_light::DetectedLight;
+pub use environment::solve as solve_environment;
 use neighbours::Neighbours;
 use relume_engine::{TrainState, evaluation, fibonacci_sphere};
 use relume_scene::light::{UNOCCLUDED_SH0, sh_eval};

@@ -47,6 +47,19 @@ impl Neighbours {
         Self { pairs, total, weights: weights.to_vec() }
     }
 
+    /// The pairs: two indices and the smaller of their weights.
+    pub fn pairs(&self) -> &[(u32, u32, f32)] {
+        &self.pairs
+    }
+
+    /// The Gaussians that belong to a pair, in ascending order.
+    pub fn members(&self) -> Vec<u32> {
+        let mut members: Vec<u32> = self.pairs.iter().flat_map(|(i, j, _)| [*i, *j]).collect();
+        members.sort_unstable();
+        members.dedup();
+        members
+    }
+
     /// Replaces values by weighted means with those of their neighbours.
     pub fn smooth<const N: usize>(&self, values: &mut [[f32; N]]) {
         for _ in 0..ROUNDS {

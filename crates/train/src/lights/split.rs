@@ -9,7 +9,7 @@ use relume_engine::upward_share;
 use relume_scene::{LightSplit, MAX_LIGHTS, Model, SplitLight, softplus, softplus_inverse, texel_directions};
 
 /// Greatest angle between a texel and the edge of the light to which it belongs, radians: a learned light is blurred.
-const REACH: f64 = 0.26;
+pub(super) const REACH: f64 = 0.26;
 
 /// Divides an environment of `width` x `height` texels between `lights` and the rest. A texel near lights belongs to
 /// the nearest.

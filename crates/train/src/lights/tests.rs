@@ -4,14 +4,19 @@ use relume_engine::{ProbeSettings, srgb};
 use relume_scene::Model;
 
 /// Range of the photographs.
-const UNIT: DisplayRange = DisplayRange::Unit;
+pub(super) const UNIT: DisplayRange = DisplayRange::Unit;
 
 /// Direction of the sun in the test scenes.
-const SUN: [f32; 3] = [0.48, 0.36, 0.8];
+pub(super) const SUN: [f32; 3] = [0.48, 0.36, 0.8];
 
-/// A ground of flat Gaussians, closed from below, with a square plate above it, under a sky and a sun whose
-/// irradiance is `strength` times that of the sky and whose shadow has a sharp edge. Visibility is measured.
-fn plate(strength: f32) -> TrainState {
+/// [`plate_under`] a sun with a sharp shadow.
+pub(super) fn plate(strength: f32) -> TrainState {
+    plate_under(&[(SplitLight { direction: SUN, radius: 0.0 }, strength)])
+}
+
+/// A ground of flat Gaussians, closed from below, with a square plate above it, under a sky and `lights`, each with its irradiance
+/// relative to that of the sky. Visibility is measured.
+pub(super) fn plate_under(lights: &[(SplitLight, f32)]) -> TrainState {
     const SIDE: i32 = 36;
     let mut points = Vec::new();
     let at = |k: i32, reach: f32| reach * (2.0 * k as f32 / (SIDE - 1) as f32 - 1.0);
@@ -40,17 +45,22 @@ fn plate(strength: f32) -> TrainState {
         Probes::measure(&evaluation::source(&state), fibonacci_sphere(256), ProbeSettings::default());
     let field = probes.coefficients(4);
     state.model.gaussians.field_mut(Field::Visibility).copy_from_slice(&field);
-    let sun = &evaluation::light_shares(&state, &[SplitLight { direction: SUN, radius: 0.0 }])[0];
+    let shares =
+        evaluation::light_shares(&state, &lights.iter().map(|(light, _)| *light).collect::<Vec<_>>());
     let sky = LightSearch::new(&state, &from_above(&state), UNIT).sky();
     for i in 0..sky.len() {
-        let shown = srgb((0.1 * (sky[i][0] + strength * sun[i] * SUN[2])).min(0.9));
+        let of_light = |((light, strength), shares): (&(SplitLight, f32), &Vec<f32>)| {
+            strength * shares[i] * light.direction[2]
+        };
+        let of_lights: f32 = lights.iter().zip(&shares).map(of_light).sum();
+        let shown = srgb((0.1 * (sky[i][0] + of_lights)).min(0.9));
         state.model.gaussians.row_mut(Field::Radiance, i).fill((shown - 0.5) / 0.282_094_8);
     }
     state
 }
 
 /// Number of pixels in which each Gaussian is visible: none for those below.
-fn from_above(state: &TrainState) -> Vec<f32> {
+pub(super) fn from_above(state: &TrainState) -> Vec<f32> {
     let g = &state.model.gaussians;
     (0..g.len()).map(|i| if g.row(Field::Mean, i)[2] < 0.0 { 0.0 } else { 9.0 }).collect()
 }

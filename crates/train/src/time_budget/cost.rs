@@ -19,6 +19,8 @@ const SHADED: f64 = 2.25;
 const PROBE: f64 = 0.4;
 /// Cost of a search for dominant lights per Gaussian, in probes on the host: about 320 tested directions, and the evaluation of the lights.
 const SEARCH_PROBES: f64 = 400.0;
+/// Cost of a restart of the environment per Gaussian, in probes on the host: 256 directions, and the steps of the solution.
+const ENVIRONMENT_PROBES: f64 = 350.0;
 /// Cost per Gaussian of comparing one photograph with its render on the host, in probes on the host.
 const COMPARISON_PROBES: f64 = 1.25;
 /// Cost of rendering one photograph on the host, relative to a step with it on the CPU engine.
@@ -164,14 +166,16 @@ impl ScheduleCost {
         }
     }
 
-    /// Cost of a restart of the materials before the step at a position: a measurement, and a search for lights.
+    /// Cost of a restart of the materials before the step at a position: a measurement, a search for lights, and a restart of the environment.
     pub fn restart(&self, position: u32) -> f64 {
         if self.shaded(position).is_none() || !self.config.is_albedo_round(position) {
             return 0.0;
         }
-        let searches = self.config.lights > 0 && self.config.light.is_none();
-        let search = SEARCH_PROBES * self.step.probe().host * self.gaussians(position);
-        self.measurement(position) + if searches { search } else { 0.0 }
+        let is_unknown = self.config.light.is_none();
+        let searches = if self.config.lights > 0 && is_unknown { SEARCH_PROBES } else { 0.0 };
+        let solutions = if self.config.environment_restarts && is_unknown { ENVIRONMENT_PROBES } else { 0.0 };
+        let on_host = (searches + solutions) * self.step.probe().host * self.gaussians(position);
+        self.measurement(position) + on_host
     }
 
     /// Cost of comparing all photographs with renders on the host, before the step at a position: for their exposures, and for

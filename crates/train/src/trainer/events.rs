@@ -185,6 +185,25 @@ impl Trainer {
         if now == before { Ok(()) } else { self.split_off(&now) }
     }
 
+    /// Restarts an unknown light by the shading and shadows of neighbouring surfaces. The light of surroundings that the photographs show is
+    /// known better.
+    fn restart_environment(&mut self) -> Result<(), TrainError> {
+        let is_unknown = self.config.light.is_none() && self.schedule.surroundings.is_none();
+        if !(self.config.environment_restarts && is_unknown && self.data.rotations.is_static()) {
+            return Ok(());
+        }
+        let _span = tracing::info_span!("restart_environment").entered();
+        let mut state = self.engine.state()?.into_owned();
+        if state.model.check().is_err() {
+            // The next step rolls back, and the schedule reaches this point again.
+            return Ok(());
+        }
+        let seen = lights::seen(&state, &self.data.cameras(PhotoSize::Half));
+        let split = state.model.lights.clone();
+        lights::solve_environment(&mut state, &seen, self.data.range, &split);
+        Ok(self.engine.load(state)?)
+    }
+
     /// Continues with `lights` split off the environment.
     fn split_off(&mut self, lights: &[SplitLight]) -> Result<(), TrainError> {
         let (width, height) = self.operators.size();
@@ -197,6 +216,7 @@ impl Trainer {
         let _span = tracing::info_span!("restart_albedo").entered();
         if self.measures() {
             self.find_lights()?;
+            self.restart_environment()?;
             self.measure(1)?;
         }
         let state = self.engine.state()?;
