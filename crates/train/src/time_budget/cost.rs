@@ -20,7 +20,7 @@ const PROBE: f64 = 0.4;
 /// Cost of a search for dominant lights per Gaussian, in probes on the host: about 320 tested directions, and the evaluation of the lights.
 const SEARCH_PROBES: f64 = 400.0;
 /// Cost of a restart of the environment per Gaussian, in probes on the host: 256 directions, and the steps of the solution.
-const ENVIRONMENT_PROBES: f64 = 350.0;
+const ENVIRONMENT_PROBES: f64 = 310.0;
 /// Cost per Gaussian of comparing one photograph with its render on the host, in probes on the host.
 const COMPARISON_PROBES: f64 = 1.25;
 /// Cost of rendering one photograph on the host, relative to a step with it on the CPU engine.
