@@ -90,7 +90,8 @@ impl Capture {
         let options = ImportOptions { limits: *limits, ..ImportOptions::default() };
         let (photograph, _) = load_image(&CaptureFiles::open(path, &options.limits)?, photo, &options)?;
         let colour = colour(card, &photograph)?;
-        self.grey_card = Some(MeasuredCard { colour, camera: patch_camera(path, limits, up, card)? });
+        let camera = card.reflectance.map(|_| patch_camera(path, limits, up, card)).transpose()?;
+        self.grey_card = Some(MeasuredCard { colour, camera });
         Ok(())
     }
 }

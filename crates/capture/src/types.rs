@@ -55,8 +55,8 @@ pub struct SceneBounds {
 pub struct MeasuredCard {
     /// Its colour in the photograph, linear Rec.709.
     pub colour: [f32; 3],
-    /// The camera that sees only the card.
-    pub camera: Camera,
+    /// The camera that sees only the card, if its reflectance is known.
+    pub camera: Option<Camera>,
 }
 
 /// A capture ready for training: +Z up, OpenCV cameras, no distortion.

@@ -149,6 +149,7 @@ mod tests {
     fn grey_card_of_known_reflectance_determines_the_albedo() {
         let (file, mut config) = (capture_with_a_card(), config("train_001/rgba.png", 14));
         let limits = ImportLimits::default();
+        let mut camera = None;
         let mut trained = |reflectance: Option<f32>| {
             let card = config.grey_card.as_mut().unwrap();
             (card.y, card.width, card.height, card.reflectance) = (18, 4, 3, reflectance);
@@ -158,7 +159,8 @@ mod tests {
             while !trainer.is_done() {
                 trainer.step().unwrap();
             }
-            (trainer.model().unwrap(), capture.grey_card.unwrap().camera)
+            camera = camera.or(capture.grey_card.unwrap().camera);
+            (trainer.model().unwrap(), camera.unwrap())
         };
         let scale = |(mut model, camera): (relume_scene::Model, _)| {
             calibrate(&mut model, &camera, [0.3; 3], &Device::Cpu).unwrap().scale

@@ -233,7 +233,7 @@ settings! {
     /// to 4.
     #[serde(default)]
     lights: u32 = 1, in 0..=4;
-    /// Restarts an unknown light with albedo, by the shading and shadows of neighbouring surfaces. false: only steps change it.
+    /// The training restarts an unknown light together with albedo, by the shading and shadows of neighbouring surfaces. false: only steps change the light.
     #[serde(default)]
     environment_restarts: bool = true;
     /// Takes the light of captures without masks from the surroundings that the photographs show; only what is clipped in

@@ -45,8 +45,9 @@ impl Trainer {
     /// Scales albedo and light to the reflectance of the grey card, if it is known. The model card has the reason if that is impossible.
     fn calibrate(&self, model: &mut Model) {
         let reflectance = self.config.grey_card.as_ref().and_then(|card| card.reflectance);
-        if let Some((card, reflectance)) = self.data.card.zip(reflectance)
-            && let Err(error) = calibrate(model, &card.camera, [reflectance; 3], &Device::Cpu)
+        let camera = self.data.card.and_then(|card| card.camera);
+        if let Some((camera, reflectance)) = camera.zip(reflectance)
+            && let Err(error) = calibrate(model, &camera, [reflectance; 3], &Device::Cpu)
         {
             model.card["calibration"] = serde_json::json!({ "error": error.to_string() });
         }

@@ -25,8 +25,8 @@ const KERNEL: f64 = 0.5 * DIRECTIONS as f64;
 const MIN_RADIANCE: f32 = 1e-3;
 
 /// Replaces the environment of `state` by the solution, in which `split` has the dominant lights. `seen`: number of pixels in which each
-/// Gaussian is visible. `range`: that of the photographs. The irradiance of what is visible stays the same in each channel. The
-/// environment stays if fewer than two neighbouring Gaussians are visible.
+/// Gaussian is visible. `range`: range of the photographs. The solver keeps the mean irradiance of the visible surfaces in each channel. It
+/// does not change the environment if fewer than two neighbouring Gaussians are visible.
 pub fn solve(state: &mut TrainState, seen: &[f32], range: DisplayRange, split: &LightSplit) {
     let search = LightSearch::new(state, seen, range);
     let sky = sky_directions(split);
