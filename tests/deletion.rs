@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use relume::jobs::ManualClock;
+use relume::server::RetentionPace;
 use relume::store::{Deletion, Retention, StoreError};
 use relume::testing::{self, TestServer};
 use relume_api::jobs::{JobState, NewJob};
@@ -304,6 +305,7 @@ async fn retention_deletes_old_resources_that_are_not_in_use() {
         move |config: &mut relume::server::ServerConfig| {
             let [jobs, captures, models] = days.map(|days| days.map(|days| days * DAY));
             config.retention = Retention { jobs, captures, models, exports: None };
+            config.retention_pace = RetentionPace::UNLIMITED;
             config.clock = clock;
         }
     };

@@ -91,6 +91,59 @@ async fn artifacts_without_a_database_are_not_served() {
     assert!(!data.path().join("relume.db").exists());
 }
 
+/// The name and size of every stored file.
+fn artifacts(data: &Path) -> Vec<(String, u64)> {
+    files_under(data).into_iter().filter(|(name, _)| name.starts_with("artifacts/")).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn artifacts_beside_an_empty_database_are_not_served() {
+    let data = used().await;
+    let database = data.path().join("relume.db");
+    let sound = std::fs::read(&database).unwrap();
+    let before = artifacts(data.path());
+    assert!(!before.is_empty());
+    // A file of 0 bytes, and a sound database without tables.
+    std::fs::write(&database, "").unwrap();
+    let why = refusal(data.path());
+    assert!(why.contains("its database is empty"), "{why}");
+    let (healthy, said) = doctor(data.path());
+    assert!(!healthy && said.contains("its database is empty"), "{said}");
+    assert_eq!(std::fs::read(&database).unwrap(), [0; 0], "the file is not changed");
+    std::fs::remove_file(&database).unwrap();
+    let url = format!("sqlite:{}?mode=rwc", database.display());
+    let pool = sqlx::SqlitePool::connect(&url).await.unwrap();
+    sqlx::query("CREATE TABLE other (id INTEGER)").execute(&pool).await.unwrap();
+    pool.close().await;
+    let why = refusal(data.path());
+    assert!(why.contains("its database is empty"), "{why}");
+    assert_eq!(artifacts(data.path()), before, "no file was moved");
+    std::fs::write(&database, sound).unwrap();
+    testing::spawn_with(data, |_| {}).await.unwrap().stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn artifacts_older_than_an_unused_database_are_not_served() {
+    let data = used().await;
+    let before = artifacts(data.path());
+    let fresh = testing::spawn().await.unwrap().stop().await.unwrap();
+    std::fs::copy(fresh.path().join("relume.db"), data.path().join("relume.db")).unwrap();
+    let set_age = |modified: std::time::SystemTime| {
+        for (name, _) in &before {
+            let file = std::fs::File::options().write(true).open(data.path().join(name)).unwrap();
+            file.set_modified(modified).unwrap();
+        }
+    };
+    set_age(std::time::UNIX_EPOCH + std::time::Duration::from_secs(1_000_000_000));
+    let why = refusal(data.path());
+    assert!(why.contains("belong to another database"), "{why}");
+    assert_eq!(artifacts(data.path()), before, "no file was moved");
+    // The control: a server that was killed during its first upload has left files that are younger than its database.
+    set_age(std::time::SystemTime::now());
+    let data = testing::spawn_with(data, |_| {}).await.unwrap().stop().await.unwrap();
+    assert_eq!(artifacts(data.path()), before, "an unused database names nothing, so nothing is moved");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_database_with_a_newer_schema_is_refused() {
     let data = used().await;

@@ -5,10 +5,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
+use relume_api::exports::{ExportState, ExportView};
 use relume_api::jobs::JobState;
-use relume_api::{CaptureId, Problem};
+use relume_api::{CaptureId, ExportId, ModelId, Problem};
 use relume_client::{Client, ClientError};
 use reqwest::Method;
+use serde_json::json;
 use tempfile::TempDir;
 
 use crate::server_process::Server;
@@ -113,6 +115,46 @@ async fn thumbnails_are_served_but_not_cached_while_the_disk_is_full() {
     assert!(!was_rendered().await, "the control");
 }
 
+/// Queues a turntable and waits until some of its frames are made.
+async fn running_export(client: &Client, model: &ModelId, frames: u32) -> ExportId {
+    let body = json!({ "kind": "frames", "turntable": { "frames": frames }, "width": 64, "height": 64 });
+    let path = format!("/v1/models/{model}/exports");
+    let answer = client.request(Method::POST, &path).unwrap().json(&body).send().await.unwrap();
+    let export: ExportView = answer.json().await.unwrap();
+    until_export(client, &export.id, |export| export.progress.done >= 5).await;
+    export.id
+}
+
+async fn until_export(client: &Client, id: &ExportId, is_so: impl Fn(&ExportView) -> bool) -> ExportView {
+    for _ in 0..3000 {
+        let export = client.export(id).await.unwrap();
+        if is_so(&export) {
+            return export;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    panic!("export {id} never got there");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_export_pauses_while_the_disk_is_full() {
+    let data = TempDir::new().unwrap();
+    let mut shell = Command::new("bash");
+    shell.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_relume")]);
+    let server = Server::start_under(shell, data.path());
+    let client = &server.client;
+    let model = trained(client).await.model.unwrap();
+    let id = running_export(client, &model, 500).await;
+    let_files_grow(&server, false);
+    let why = until_not_ready(client).await;
+    assert!(why.contains("the disk is full"), "{why}");
+    let export = client.export(&id).await.unwrap();
+    assert!(!export.state.is_terminal() && export.progress.done < 500, "the control: {export:?}");
+    let_files_grow(&server, true);
+    let export = until_export(client, &id, |export| export.state.is_terminal()).await;
+    assert_eq!(export.state, ExportState::Succeeded, "{:?}", export.error);
+}
+
 /// The artifacts are one capture and `files` files of models.
 fn nothing_is_left_of(data: &Path, capture: &CaptureId, files: usize) {
     let names: Vec<String> = files_under(data).into_iter().map(|(name, _)| name).collect();
@@ -201,4 +243,19 @@ async fn training_pauses_at_its_checkpoint_while_the_disk_is_full() {
     assert_eq!(ended(client, &job.id).await.state, JobState::Cancelled);
     assert_eq!(ended(client, &next.id).await.state, JobState::Succeeded);
     nothing_is_left_of(&small.disk.join("data"), &job.capture, 2);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs Linux that lets users mount a tmpfs in a namespace of their own"]
+async fn an_export_is_cancelled_and_deleted_on_a_full_disk() {
+    let small = SmallDisk::start();
+    let client = &small.server.client;
+    let model = trained(client).await.model.unwrap();
+    let id = running_export(client, &model, 10_000).await;
+    small.fill();
+    until_not_ready(client).await;
+    client.delete_export(&id).await.unwrap();
+    assert_eq!(client.export(&id).await.unwrap().state, ExportState::Cancelled);
+    client.delete_export(&id).await.unwrap();
+    assert!(client.export(&id).await.is_err(), "it is deleted");
 }

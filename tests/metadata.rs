@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use relume::jobs::ManualClock;
+use relume::server::RetentionPace;
 use relume::store::{CaptureRecord, EnvironmentRecord, Retention, StoreError};
 use relume::testing;
 use relume_api::TenantId;
@@ -308,6 +309,7 @@ async fn resources_with_the_keep_label_are_not_deleted_by_age() {
         let clock = clock.clone();
         move |config: &mut relume::server::ServerConfig| {
             config.retention = Retention { jobs: keep, captures: keep, models: keep, exports: None };
+            config.retention_pace = RetentionPace::UNLIMITED;
             config.clock = clock;
         }
     };

@@ -326,3 +326,35 @@ fn terminate(child: &std::process::Child) {
     let asked = Command::new("kill").arg(child.id().to_string()).status().unwrap();
     assert!(asked.success());
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tenants_take_turns_in_the_queue_of_jobs() {
+    let server = server(|config| config.trainers = relume::server::Trainers::None).await;
+    let (many, few) = (of_tenant(&server, "many").await, of_tenant(&server, "few").await);
+    let submit = async |client: &Client, count: usize| {
+        let capture = client.upload_capture_bytes(capture_zip()).await.unwrap();
+        let mut jobs = Vec::new();
+        for _ in 0..count {
+            jobs.push(client.create_job(&small_job(&capture.id, 3, 5), None).await.unwrap().id);
+        }
+        jobs
+    };
+    let of_many = submit(&many, 5).await;
+    let of_few = submit(&few, 2).await;
+    let places = async |client: &Client, jobs: &[relume_api::JobId]| {
+        let mut places = Vec::new();
+        for job in jobs {
+            places.push(client.job(job).await.unwrap().queue_position.unwrap());
+        }
+        places
+    };
+    assert_eq!(places(&many, &of_many).await, [0, 2, 4, 5, 6]);
+    assert_eq!(places(&few, &of_few).await, [1, 3]);
+    // The control: a higher priority goes first.
+    let first = &of_many[4];
+    let body = serde_json::json!({ "priority": 1 });
+    let path = format!("/v1/jobs/{first}");
+    let changed = many.request(Method::PATCH, &path).unwrap().json(&body).send().await.unwrap();
+    assert_eq!(changed.status(), 200);
+    assert_eq!(places(&many, &of_many).await, [1, 3, 5, 6, 0]);
+}

@@ -75,8 +75,10 @@ pub(super) struct App {
     pub(super) poses: PoseQueue,
     /// Threads that encode frames.
     pub(super) encoders: Encoders,
-    /// Threads that decode uploads.
+    /// Threads that decode single photographs and maps, and read the lists of archives.
     pub(super) decoders: Decoders,
+    /// Threads that validate whole captures, which may take minutes.
+    pub(super) validators: Decoders,
     /// The queue between requests and the exporter.
     pub(super) exports: ExportQueue,
     /// All API keys.

@@ -1,9 +1,12 @@
 //! Tasks that only the first server of a database runs: garbage collection, webhooks, exports, and interrupted validations.
 
+use std::time::Instant;
+
 use tokio::task::JoinHandle;
 
 use crate::server::app::AppState;
 use crate::server::garbage_collector::GarbageCollector;
+use crate::server::retention_pace::{RetentionPace, RetentionPacer};
 use crate::server::webhooks::WebhookDispatcher;
 use crate::server::{capture_creation, exports};
 use crate::store::Retention;
@@ -15,10 +18,11 @@ pub(super) struct BackgroundTasks {
 
 impl BackgroundTasks {
     /// Starts the tasks.
-    pub(super) fn begin(app: &AppState, retention: Retention) -> Self {
+    pub(super) fn begin(app: &AppState, retention: Retention, pace: RetentionPace) -> Self {
         let (jobs, stop) = (app.jobs.clone(), app.stop.clone());
+        let pacer = RetentionPacer::new(pace, Instant::now());
         let garbage_collector =
-            GarbageCollector { jobs: jobs.clone(), retention, thumbnails: app.thumbnails.clone() };
+            GarbageCollector { jobs: jobs.clone(), retention, pacer, thumbnails: app.thumbnails.clone() };
         let gc_task = tokio::spawn(garbage_collector.run(app.gc_wake.clone(), stop.clone()));
         let webhook_task = tokio::spawn(WebhookDispatcher::new(jobs, app.webhooks).run(stop));
         let export_task = tokio::spawn(exports::work(app.clone()));

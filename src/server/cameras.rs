@@ -110,7 +110,7 @@ async fn get_cameras(
             true => Problem::internal(error),
             false => Problem::storage_failed(error),
         };
-        let cameras = app.decoders.run(read).await?.map_err(failed)?;
+        let cameras = app.decoders.run(&caller.tenant, read).await?.map_err(failed)?;
         let cameras = cameras.into_iter().map(|camera| view(camera, convention)).collect();
         Json(CaptureCameras { convention, cameras }).into_response()
     };

@@ -93,7 +93,7 @@ async fn upload_capture(
             CaptureLookup::New(incoming) => *incoming,
         };
         // Pose estimation takes too long for a synchronous answer.
-        let finds_poses = poses::needs_poses(&app, &incoming).await?;
+        let finds_poses = poses::needs_poses(&app, &caller.tenant, &incoming).await?;
         if !later && !finds_poses {
             break;
         }
@@ -131,7 +131,7 @@ async fn validate_capture(
     request: Request,
 ) -> Result<Json<CaptureReport>, Problem> {
     let incoming = receive(&app, &caller, request).await?;
-    Ok(Json(capture_creation::validate(&app, &incoming).await?))
+    Ok(Json(capture_creation::validate(&app, &caller.tenant, &incoming).await?))
 }
 
 /// List captures

@@ -72,7 +72,7 @@ async fn upload_environment(
             Some(given_back) => incoming = given_back,
         }
     }
-    let (width, height, warnings) = validate(&app, &incoming).await?;
+    let (width, height, warnings) = validate(&app, &caller.tenant, &incoming).await?;
     let record = EnvironmentRecord {
         id: app.jobs.fresh_id(),
         sha256: incoming.sha256.clone(),
@@ -172,7 +172,11 @@ async fn receive(app: &AppState, caller: &Caller, request: Request) -> Result<St
     file_body::receive(app, caller, request, &expected).await
 }
 
-async fn validate(app: &AppState, incoming: &StagedUpload) -> Result<(i64, i64, Vec<String>), Problem> {
+async fn validate(
+    app: &AppState,
+    tenant: &TenantId,
+    incoming: &StagedUpload,
+) -> Result<(i64, i64, Vec<String>), Problem> {
     let file = tokio::fs::File::open(&incoming.path).await.map_err(Problem::storage_failed)?;
     let mut head = Vec::new();
     file.take(HEAD).read_to_end(&mut head).await.map_err(Problem::storage_failed)?;
@@ -187,13 +191,17 @@ async fn validate(app: &AppState, incoming: &StagedUpload) -> Result<(i64, i64, 
         maps.put(&sha256, map);
         Ok((width, height, warnings))
     };
-    app.decoders.run(decode).await?.map_err(refused)
+    app.decoders.run(tenant, decode).await?.map_err(refused)
 }
 
 /// Decodes a map from a request, with a permit for the memory.
-pub(super) async fn decode(app: &AppState, bytes: Vec<u8>) -> Result<LoadedEnvironment, Problem> {
+pub(super) async fn decode(
+    app: &AppState,
+    tenant: &TenantId,
+    bytes: Vec<u8>,
+) -> Result<LoadedEnvironment, Problem> {
     let _texels = app.memory.reserve(environment::decoding_bytes(&bytes).map_err(refused)?).await?;
-    app.decoders.run(move || environment::decode(&bytes)).await?.map_err(refused)
+    app.decoders.run(tenant, move || environment::decode(&bytes)).await?.map_err(refused)
 }
 
 fn refused(error: EnvironmentFileError) -> Problem {

@@ -13,6 +13,7 @@ use serde_path_to_error::Segment;
 use tower_http::timeout::TimeoutError;
 
 use crate::server::app::AppState;
+use crate::server::body_rate::BodyTooSlow;
 use crate::server::memory::MemoryPermit;
 use crate::server::problem::Problem;
 
@@ -113,7 +114,7 @@ fn body_broken(error: &axum::Error, limit: usize) -> Problem {
     if caused_by::<LengthLimitError>(error) {
         return Problem::too_large(limit as u64);
     }
-    if caused_by::<TimeoutError>(error) {
+    if is_too_slow(error) {
         return Problem::timeout(STALLED);
     }
     Problem::new(StatusCode::BAD_REQUEST, "incomplete-body", "The body could not be read")
@@ -123,8 +124,13 @@ fn body_broken(error: &axum::Error, limit: usize) -> Problem {
 /// The detail for a body that stopped arriving.
 pub(super) const STALLED: &str = "the rest of the body did not arrive in time";
 
+/// Whether a body ended because the client did not send it in time.
+pub(super) fn is_too_slow(error: &(dyn Error + 'static)) -> bool {
+    caused_by::<TimeoutError>(error) || caused_by::<BodyTooSlow>(error)
+}
+
 /// Whether an error of type `E` is among the causes.
-pub(super) fn caused_by<E: Error + 'static>(error: &(dyn Error + 'static)) -> bool {
+fn caused_by<E: Error + 'static>(error: &(dyn Error + 'static)) -> bool {
     std::iter::successors(Some(error), |e| (*e).source()).any(|e| e.is::<E>())
 }
 

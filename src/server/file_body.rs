@@ -6,11 +6,10 @@ use axum::body::Bytes;
 use axum::extract::multipart::MultipartError;
 use axum::extract::{FromRequest, Multipart, Request};
 use futures::{Stream, TryStreamExt};
-use tower_http::timeout::TimeoutError;
 
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
-use crate::server::extract::{STALLED, caused_by, content_length, media_type};
+use crate::server::extract::{STALLED, content_length, is_too_slow, media_type};
 use crate::server::file_form;
 use crate::server::problem::Problem;
 use crate::store::StagedUpload;
@@ -67,7 +66,7 @@ async fn from_form(
     let form = Multipart::from_request(request, app).await;
     let mut form = form.map_err(|e| Problem::malformed_form(e.body_text()))?;
     let mut file = None;
-    while let Some(field) = form.next_field().await.map_err(|e| match caused_by::<TimeoutError>(&e) {
+    while let Some(field) = form.next_field().await.map_err(|e| match is_too_slow(&e) {
         true => Problem::timeout(STALLED),
         false => Problem::malformed_form(e.body_text()),
     })? {
@@ -96,7 +95,7 @@ async fn store<E: Error + 'static>(
 ) -> Result<StagedUpload, Problem> {
     let mut stalled = false;
     let body = body.map_err(|error| {
-        stalled = caused_by::<TimeoutError>(&error);
+        stalled = is_too_slow(&error);
         reason(&error)
     });
     let name: String = app.jobs.fresh_id();

@@ -8,11 +8,10 @@ use axum::extract::Multipart;
 use axum::extract::multipart::{Field, MultipartError};
 use futures::{Stream, TryStreamExt, stream};
 use tokio::io::{AsyncReadExt, AsyncSeekExt, AsyncWriteExt};
-use tower_http::timeout::TimeoutError;
 
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
-use crate::server::extract::{STALLED, caused_by};
+use crate::server::extract::{STALLED, is_too_slow};
 use crate::server::problem::Problem;
 use crate::store::{StagedUpload, StoreError};
 
@@ -39,7 +38,7 @@ enum FormError {
 impl FormError {
     fn problem(self, caller: &Caller) -> Problem {
         match self {
-            Self::Form(error) if caused_by::<TimeoutError>(&error) => Problem::timeout(STALLED),
+            Self::Form(error) if is_too_slow(&error) => Problem::timeout(STALLED),
             Self::Form(error) => Problem::malformed_form(error.body_text()),
             Self::Disk(error) if error.kind() == io::ErrorKind::StorageFull => {
                 caller.problem_for(StoreError::Full)

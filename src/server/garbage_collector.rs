@@ -1,15 +1,16 @@
 //! The garbage collector: deletes resources beyond their retention, and removes the files of deleted resources.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
 use crate::jobs::Jobs;
 use crate::server::poses;
+use crate::server::retention_pace::RetentionPacer;
 use crate::server::thumbnail_cache::ThumbnailCache;
-use crate::store::Retention;
+use crate::store::{Retention, StoreError};
 
 /// Time between two runs without a notification.
 const INTERVAL: Duration = Duration::from_secs(10);
@@ -20,12 +21,13 @@ const WHILE_WAITING: Duration = Duration::from_millis(500);
 pub(super) struct GarbageCollector {
     pub(super) jobs: Jobs,
     pub(super) retention: Retention,
+    pub(super) pacer: RetentionPacer,
     pub(super) thumbnails: ThumbnailCache,
 }
 
 impl GarbageCollector {
     /// Runs until `stop` is cancelled; `wake` starts a run immediately.
-    pub(super) async fn run(self, wake: Arc<Notify>, stop: CancellationToken) {
+    pub(super) async fn run(mut self, wake: Arc<Notify>, stop: CancellationToken) {
         // A terminated server may have left thumbnails of deleted resources.
         self.clear_thumbnails().await;
         loop {
@@ -39,11 +41,14 @@ impl GarbageCollector {
     }
 
     /// Performs one run. Returns the time until the next.
-    async fn collect(&self) -> Duration {
+    async fn collect(&mut self) -> Duration {
+        if let Err(error) = self.expire().await {
+            tracing::error!(%error, "cannot delete resources at the end of their retention yet");
+        }
         if let Err(error) = poses::remove_leftovers(self.jobs.store()).await {
             tracing::error!(%error, "cannot remove leftover files of COLMAP yet");
         }
-        match self.jobs.collect_garbage(&self.retention).await {
+        match self.jobs.collect_garbage().await {
             Ok(swept) => {
                 if swept.things > 0 {
                     self.clear_thumbnails().await;
@@ -55,6 +60,19 @@ impl GarbageCollector {
                 INTERVAL
             }
         }
+    }
+
+    /// Deletes resources beyond their retention, at the permitted pace.
+    async fn expire(&mut self) -> Result<(), StoreError> {
+        let (now, clock_ms) = (Instant::now(), self.jobs.now_ms());
+        if !self.pacer.is_quiet(now, clock_ms) || self.retention.keeps_everything() {
+            return Ok(());
+        }
+        let store = self.jobs.store();
+        let most = self.pacer.allowed(now, store.count_for_retention().await?);
+        let deleted = store.expire(&self.retention, most, clock_ms).await?;
+        self.pacer.record(now, deleted);
+        Ok(())
     }
 
     /// Removes thumbnails of deleted models and captures.

@@ -33,7 +33,7 @@ pub(super) async fn light(
             let detail = format!("must be recovered or one of {}", BUILTIN.join(", "));
             Problem::invalid_field("/environment/builtin", detail)
         }),
-        (None, None, Some(text)) => inline_light(app, text).await,
+        (None, None, Some(text)) => inline_light(app, tenant, text).await,
         _ => Err(Problem::invalid_field(
             "/environment",
             "must have at most one of id, builtin and inline_base64",
@@ -83,12 +83,12 @@ fn builtin_light(name: &str) -> Option<LightSource> {
     }
 }
 
-async fn inline_light(app: &AppState, text: &str) -> Result<LightSource, Problem> {
+async fn inline_light(app: &AppState, tenant: &TenantId, text: &str) -> Result<LightSource, Problem> {
     let bytes = STANDARD
         .decode(text.trim())
         .map_err(|e| Problem::invalid_field("/environment/inline_base64", format!("is not Base64: {e}")))?;
     let sha256 = hex(&Sha256::digest(&bytes));
-    let loaded = environments::decode(app, bytes).await?;
+    let loaded = environments::decode(app, tenant, bytes).await?;
     Ok(LightSource::Inline { sha256, map: Arc::new(LightSource::downscaled(loaded.map)) })
 }
 

@@ -23,7 +23,7 @@ use crate::server::origins::{self, CorsOrigin};
 use crate::server::problem::Problem;
 use crate::server::same_site::{self, TrustedHosts};
 use crate::server::tenant_slots::{self, TenantSlots};
-use crate::server::{replica, telemetry, uploads};
+use crate::server::{body_rate, replica, telemetry, uploads};
 
 /// The content security policy of the API, whose answers may load, run and frame nothing. Pages have their own policy.
 const NOT_A_PAGE: &str = "default-src 'none'; frame-ancestors 'none'";
@@ -39,6 +39,8 @@ pub(super) struct MiddlewareConfig {
     pub(super) hosts: TrustedHosts,
     /// Timeout between two chunks of a request's body.
     pub(super) body_stall: Duration,
+    /// Minimum rate of a request's body, bytes per second.
+    pub(super) body_rate: u64,
     /// Maximum bytes of a resumable upload.
     pub(super) most_uploaded: u64,
 }
@@ -53,9 +55,15 @@ pub(super) struct RouteLimits {
     timeout: Duration,
 }
 
-/// Uploads: limited by the time between two chunks, so that gigabytes may take hours.
+/// Uploads: limited by their rate and by the time between two chunks, so that gigabytes may take hours.
 pub(super) const UPLOADS: RouteLimits =
-    RouteLimits { max_concurrent: 64, per_tenant: 32, timeout: Duration::from_secs(24 * 3600) };
+    RouteLimits { max_concurrent: 64, per_tenant: 16, timeout: Duration::from_secs(24 * 3600) };
+/// Files that remote workers receive and send, separate from uploads, so that slow uploads cannot stop trainings.
+pub(super) const WORKER_FILES: RouteLimits =
+    RouteLimits { max_concurrent: 256, per_tenant: 256, timeout: Duration::from_secs(24 * 3600) };
+/// Lists that are read from archives, separate from uploads, so that slow uploads cannot stop them.
+pub(super) const ARCHIVE_READS: RouteLimits =
+    RouteLimits { max_concurrent: 64, per_tenant: 16, timeout: Duration::from_secs(300) };
 /// Renders: the body, the queue of the device, and the frame.
 pub(super) const RENDERS: RouteLimits =
     RouteLimits { max_concurrent: 128, per_tenant: 128, timeout: Duration::from_secs(300) };
@@ -86,8 +94,7 @@ where
 
 /// Applies the middleware to all routes. The layers run from the first to the last.
 pub(super) fn with_middleware(routes: Router<AppState>, config: MiddlewareConfig) -> Router<AppState> {
-    let MiddlewareConfig { access_control, is_replica, is_open, origins, hosts, body_stall, most_uploaded } =
-        config;
+    let MiddlewareConfig { access_control, is_replica, is_open, origins, hosts, .. } = config;
     // A key, which foreign pages do not know, gives the same protection as the checks of host and origin.
     let csrf = is_open.then(|| same_site::csrf(&origins));
     let host = is_open.then(|| middleware::from_fn_with_state(hosts, same_site::check_host));
@@ -101,13 +108,14 @@ pub(super) fn with_middleware(routes: Router<AppState>, config: MiddlewareConfig
             .layer(CatchPanicLayer::custom(telemetry::on_panic))
             .option_layer(host)
             // Outside CORS, because that layer answers every OPTIONS itself.
-            .layer(middleware::from_fn_with_state(most_uploaded, uploads::advertise))
+            .layer(middleware::from_fn_with_state(config.most_uploaded, uploads::advertise))
             // Outside authentication, because the preflight request of a browser has no key.
             .option_layer(origins::cors(&origins))
             .option_layer(csrf)
             .layer(middleware::from_fn_with_state(access_control, access::check))
             .option_layer(is_replica.then(|| middleware::from_fn(replica::check)))
-            .layer(RequestBodyTimeoutLayer::new(body_stall))
+            .layer(middleware::from_fn_with_state(config.body_rate, body_rate::limit))
+            .layer(RequestBodyTimeoutLayer::new(config.body_stall))
             // Each body extractor has its own limit.
             .layer(DefaultBodyLimit::disable()),
     )

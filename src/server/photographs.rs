@@ -21,8 +21,8 @@ use crate::server::files::{etag, matches_etag};
 use crate::server::opened_captures::Opened;
 use crate::server::problem::Problem;
 use crate::store::{CaptureRecord, StoreError, hex};
-use relume_api::CaptureId;
 use relume_api::photographs::{CapturePhotographs, CapturedPhotograph};
+use relume_api::{CaptureId, TenantId};
 use relume_capture::formats::image_file;
 use relume_capture::{CaptureError, CapturePhotos, PictureOptions};
 use relume_scene::{ImageRgba, srgb};
@@ -72,7 +72,7 @@ async fn list_photographs(
     } else {
         let opened = open(&app, &caller, &capture).await?;
         let read = move || opened.photographs.cameras(up);
-        let taken = app.decoders.run(read).await?.map_err(|error| unreadable(&error))?;
+        let taken = app.decoders.run(&caller.tenant, read).await?.map_err(|error| unreadable(&error))?;
         let photograph = |camera| {
             let taken = cameras::view(camera, convention);
             let warnings = capture.report.about(&taken.name);
@@ -188,8 +188,9 @@ impl PhotographRequest<'_> {
     }
 
     async fn make(&self, app: &AppState, opened: Arc<Opened>) -> Result<Vec<u8>, Problem> {
+        let tenant = &self.caller.tenant;
         let (options, name, of) = (self.options, self.name.to_owned(), opened.clone());
-        let needed = app.decoders.run(move || of.photographs.picture_bytes(&name, &options)).await?;
+        let needed = app.decoders.run(tenant, move || of.photographs.picture_bytes(&name, &options)).await?;
         let memory = app.memory.reserve(needed.map_err(|error| unreadable(&error))?).await?;
         let name = self.name.to_owned();
         let work = move || {
@@ -197,7 +198,7 @@ impl PhotographRequest<'_> {
             let _held = memory;
             Ok(opened.photographs.picture(&name, &options).map(|image| jpeg(&image)))
         };
-        let made: Result<_, Problem> = app.decoders.run(work).await?;
+        let made: Result<_, Problem> = app.decoders.run(tenant, work).await?;
         made?.map_err(|error| unreadable(&error))?.map_err(Problem::internal)
     }
 }
@@ -218,16 +219,16 @@ async fn open(app: &AppState, caller: &Caller, capture: &CaptureRecord) -> Resul
         }
         sound => {
             sound?;
-            app.opened.get(&capture.sha256, async || open_archive(app, capture).await).await
+            app.opened.get(&capture.sha256, async || open_archive(app, &caller.tenant, capture).await).await
         }
     }
 }
 
-async fn open_archive(app: &AppState, capture: &CaptureRecord) -> Result<Opened, Problem> {
+async fn open_archive(app: &AppState, tenant: &TenantId, capture: &CaptureRecord) -> Result<Opened, Problem> {
     let path = app.store.artifacts().local_path(&capture.artifact);
     let limits = app.import_limits;
     let open = move || CapturePhotos::open(&path, &limits);
-    let photographs = app.decoders.run(open).await?.map_err(|error| unreadable(&error))?;
+    let photographs = app.decoders.run(tenant, open).await?.map_err(|error| unreadable(&error))?;
     let held = photographs.held_bytes();
     let memory = if held > 0 { Some(app.memory.reserve(held).await?) } else { None };
     Ok(Opened { photographs, _memory: memory })

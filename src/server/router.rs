@@ -6,7 +6,9 @@ use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 
 use crate::server::app::AppState;
-use crate::server::middleware::{self, MiddlewareConfig, QUERIES, RENDERS, THUMBNAILS, UPLOADS, with_limits};
+use crate::server::middleware::{
+    self, ARCHIVE_READS, MiddlewareConfig, QUERIES, RENDERS, THUMBNAILS, UPLOADS, WORKER_FILES, with_limits,
+};
 use crate::server::problem::Problem;
 #[cfg(feature = "web")]
 use crate::server::web;
@@ -17,14 +19,8 @@ use crate::server::{
 };
 
 fn families() -> OpenApiRouter<AppState> {
-    // Routes that receive or read archives, which may be large.
-    let taking = captures::uploads()
-        .merge(cameras::routes())
-        .merge(photographs::lists())
-        .merge(poses::routes())
-        .merge(environments::uploads())
-        .merge(uploads::uploads())
-        .merge(workers::transfers());
+    let receiving = captures::uploads().merge(environments::uploads()).merge(uploads::uploads());
+    let reading = cameras::routes().merge(photographs::lists()).merge(poses::routes());
     let queries = captures::routes()
         .merge(environments::routes())
         .merge(jobs::routes())
@@ -40,7 +36,9 @@ fn families() -> OpenApiRouter<AppState> {
         .merge(webhooks::routes())
         .merge(workers::routes());
     OpenApiRouter::with_openapi(description::preamble())
-        .merge(with_limits(taking, &UPLOADS))
+        .merge(with_limits(receiving, &UPLOADS))
+        .merge(with_limits(reading, &ARCHIVE_READS))
+        .merge(with_limits(workers::transfers(), &WORKER_FILES))
         .merge(with_limits(queries, &QUERIES))
         .merge(with_limits(renders::routes(), &RENDERS))
         .merge(with_limits(

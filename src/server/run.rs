@@ -31,6 +31,7 @@ use crate::server::opened_captures::OpenedCaptures;
 use crate::server::origins::CorsOrigin;
 use crate::server::poses::{PoseQueue, PosesPolicy};
 use crate::server::rate_limiter::RateLimiter;
+use crate::server::retention_pace::RetentionPace;
 use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
 use crate::server::telemetry;
@@ -96,6 +97,8 @@ pub struct ServerConfig {
     pub webhooks: WebhookPolicy,
     /// The retention of resources.
     pub retention: Retention,
+    /// The limits of deletion by age.
+    pub retention_pace: RetentionPace,
     /// Options of the worker.
     pub worker: WorkerOptions,
     /// The devices that train. Frames are rendered on the device of `worker`.
@@ -132,6 +135,7 @@ impl ServerConfig {
             exports: ExportPolicy::default(),
             webhooks: WebhookPolicy::default(),
             retention: Retention::default(),
+            retention_pace: RetentionPace::default(),
             worker: WorkerOptions::default(),
             trainers: Trainers::default(),
             worker_labels: Vec::new(),
@@ -209,7 +213,8 @@ pub async fn run(
     let gc_wake = Arc::new(Notify::new());
     let thumbnails = open_thumbnails(&config).await?;
     let (service, app) = service(&config, is_open, jobs.clone(), device, thumbnails, gc_wake, stop.clone())?;
-    let background_tasks = (!config.replica).then(|| BackgroundTasks::begin(&app, config.retention));
+    let background_tasks =
+        (!config.replica).then(|| BackgroundTasks::begin(&app, config.retention, config.retention_pace));
     tracing::info!(%address, replica = config.replica, data_dir = %config.data_dir.display(), "serving");
     serve(listener, service, config.connections, shutdown, stop.clone()).await;
 
@@ -312,6 +317,7 @@ fn service(
         poses: PoseQueue::new(config.poses.clone()),
         encoders: Encoders::new(),
         decoders: Decoders::start(config.limits.memory_bytes)?,
+        validators: Decoders::start(config.limits.memory_bytes)?,
         exports: ExportQueue::new(config.exports.clone(), Decoders::start(config.limits.memory_bytes)?),
         keys: keys.clone(),
         signing: signing.clone(),
@@ -328,6 +334,7 @@ fn service(
         origins: config.cors_origins.clone(),
         hosts: config.allowed_hosts.clone().into(),
         body_stall: config.connections.body,
+        body_rate: config.connections.body_rate,
         most_uploaded: config.limits.capture_bytes,
     };
     let app = Arc::new(app);

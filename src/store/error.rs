@@ -108,6 +108,16 @@ pub enum StoreError {
         "{0} has stored files but no database: relume.db was moved, removed or not mounted; put it back, restore a backup, or use another data directory"
     )]
     DatabaseMissing(String),
+    /// The data directory has artifacts, but its database is empty or has no tables.
+    #[error(
+        "{0} has stored files but its database is empty: it was truncated or replaced; put the previous database back, restore a backup, or use another data directory"
+    )]
+    DatabaseEmpty(String),
+    /// The data directory has artifacts that are older than its database, which names none.
+    #[error(
+        "{0} has stored files that are older than its database, which names none of them: they belong to another database; put that database back, restore a backup, or move the folder artifacts away"
+    )]
+    ForeignArtifacts(String),
     /// The data directory has no database.
     #[error("{0} has no database relume.db: it is not a data directory")]
     NoDatabase(String),

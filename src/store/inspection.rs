@@ -10,7 +10,7 @@ use crate::store::database::{self, Database, ReadOnlyDatabase};
 use crate::store::hash::hash_file;
 use crate::store::references::{Reference, artifact_keys, is_artifact_name, references};
 use crate::store::sql::Pool;
-use crate::store::{DatabaseUrl, ObjectStoreConfig, StoreError, has_artifacts};
+use crate::store::{DatabaseUrl, ObjectStoreConfig, StoreError, ownership};
 
 const SCHEMA: &str = "SELECT MAX(version) FROM _sqlx_migrations";
 
@@ -45,10 +45,16 @@ pub async fn inspect_with(
     config: Option<&ObjectStoreConfig>,
 ) -> Result<Inspection, StoreError> {
     let mut found = Inspection::default();
-    if url.is_none() && !root.join(database::FILE).exists() {
-        if has_artifacts(root)? {
-            found.faults.push(StoreError::DatabaseMissing(root.display().to_string()).to_string());
+    match ownership::check_before_migration(root, url).await {
+        Err(error @ (StoreError::DatabaseMissing(_) | StoreError::DatabaseEmpty(_))) => {
+            found.faults.push(error.to_string());
+            return Ok(found);
         }
+        // The inspection below names what is damaged.
+        Err(StoreError::Database(_) | StoreError::DatabaseDamaged(_)) if url.is_none() => {}
+        other => other?,
+    }
+    if url.is_none() && !root.join(database::FILE).exists() {
         return Ok(found);
     }
     let remote = config.map(Remote::open).transpose()?;

@@ -13,6 +13,26 @@ use crate::store::{Filter, IdempotencyKey, JobRecord, Page, Store, StoreError, e
 use relume_api::jobs::JobState;
 use relume_api::{JobId, TenantId};
 
+/// The turn of a tenant's next job with a priority, as SQL. Jobs of one priority run in the order of their turns. The jobs of a tenant
+/// have successive turns; the first one has the turn of the head of the queue. So tenants take turns, however many jobs each has
+/// (start-time fair queueing: Goyal, Vin and Cheng 1996).
+macro_rules! turn {
+    ($priority:literal, $tenant:literal) => {
+        concat!(
+            "COALESCE(
+                 (SELECT MAX(turn) + 1 FROM jobs WHERE state IN ('queued', 'running') AND tenant = ",
+            $tenant,
+            " AND priority = ",
+            $priority,
+            "), (SELECT MIN(turn) FROM jobs WHERE state = 'queued' AND priority = ",
+            $priority,
+            "), (SELECT MAX(turn) FROM jobs WHERE state = 'running' AND priority = ",
+            $priority,
+            "), 0)"
+        )
+    };
+}
+
 /// Result of a submission.
 #[derive(Debug, Clone)]
 pub enum Submitted {
@@ -182,8 +202,11 @@ impl Store {
         priority: i64,
     ) -> Result<bool, StoreError> {
         let mut tx = self.write().await?;
-        let query =
-            sql::query("UPDATE jobs SET priority = $2 WHERE id = $1 AND tenant = $3 AND state = 'queued'");
+        let query = sql::query(concat!(
+            "UPDATE jobs SET priority = $2, turn = CASE WHEN priority = $2 THEN turn ELSE ",
+            turn!("$2", "$3"),
+            " END WHERE id = $1 AND tenant = $3 AND state = 'queued'"
+        ));
         let done = query.bind(id).bind(priority).bind(tenant).execute(&mut tx).await?;
         tx.commit().await?;
         Ok(done == 1)
@@ -197,9 +220,9 @@ pub const MAX_QUEUE_POSITION: i64 = 1000;
 macro_rules! head {
     ($most:literal) => {
         concat!(
-            "SELECT id, ROW_NUMBER() OVER (ORDER BY priority DESC, created_ms, id) - 1 AS place
-             FROM (SELECT id, priority, created_ms FROM jobs WHERE state = 'queued'
-                   ORDER BY priority DESC, created_ms, id LIMIT ",
+            "SELECT id, ROW_NUMBER() OVER (ORDER BY priority DESC, turn, created_ms, id) - 1 AS place
+             FROM (SELECT id, priority, turn, created_ms FROM jobs WHERE state = 'queued'
+                   ORDER BY priority DESC, turn, created_ms, id LIMIT ",
             $most,
             ") AS waiting"
         )
@@ -215,12 +238,14 @@ const POSITION: &str = concat!(
 );
 
 async fn insert(tx: &mut Tx, job: &JobRecord) -> Result<(), StoreError> {
-    let query = sql::query(
+    let query = sql::query(concat!(
         "INSERT INTO jobs
              (id, capture_id, retry_of, preset, overrides, device, priority, total, state, created_ms, tenant,
-              quality_gate, name, external_id, labels, requires, traceparent)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17)",
-    );
+              quality_gate, name, external_id, labels, requires, traceparent, turn)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, ",
+        turn!("$7", "$11"),
+        ")"
+    ));
     query
         .bind(&job.id)
         .bind(&job.request.capture)

@@ -340,7 +340,7 @@ const CLAIM: Sql = {
                  WHERE id = (SELECT id FROM jobs AS waiting WHERE state = 'queued' AND (device <> 'gpu' OR $5)
                      AND NOT EXISTS (SELECT 1 FROM workers WHERE workers.id = $4 AND draining) AND ",
                 $has_all,
-                " ORDER BY priority DESC, created_ms, id LIMIT 1",
+                " ORDER BY priority DESC, turn, created_ms, id LIMIT 1",
                 $lock,
                 ") RETURNING *"
             )

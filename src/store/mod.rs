@@ -30,6 +30,7 @@ mod leases;
 mod metadata;
 mod models;
 mod orphan_cleanup;
+mod ownership;
 mod page;
 mod pending_quota;
 mod publish;
@@ -90,7 +91,7 @@ pub use records::{
     CaptureRecord, EnvironmentRecord, EventRecord, JobRecord, KeyRecord, ModelFile, ModelRecord,
 };
 pub use relume_api::work::{LeaseStatus, Release};
-pub use retention::Retention;
+pub use retention::{ExpiryCounts, Retention};
 pub use staged_upload::StagedUpload;
 pub use uploads::{Checksum, Piece, UploadLimits, UploadLock, UploadRecord};
 pub use webhooks::WebhookRecord;
@@ -118,8 +119,8 @@ impl Store {
     /// Opens the data directory, creates missing files and migrates the schema. A new directory is accessible only to its owner.
     ///
     /// # Errors
-    /// When the directory cannot be created, or the database cannot be opened or migrated; [`StoreError::DatabaseMissing`] if
-    /// there are artifacts but no database.
+    /// When the directory cannot be created, or the database cannot be opened or migrated; [`StoreError::DatabaseMissing`],
+    /// [`StoreError::DatabaseEmpty`] or [`StoreError::ForeignArtifacts`] if there are artifacts of another database.
     pub async fn open(root: &Path) -> Result<Self, StoreError> {
         Self::open_with(root, None).await
     }
@@ -130,10 +131,9 @@ impl Store {
     /// As [`Store::open`].
     pub async fn open_with(root: &Path, url: Option<&DatabaseUrl>) -> Result<Self, StoreError> {
         folder::make_private(root)?;
-        if url.is_none() && !root.join(database::FILE).exists() && has_artifacts(root)? {
-            return Err(StoreError::DatabaseMissing(root.display().to_string()));
-        }
+        ownership::check_before_migration(root, url).await?;
         let database = Database::open(root, url).await?;
+        ownership::check_owner(root, &database).await?;
         Ok(Self {
             database,
             artifacts: Artifacts::open(root)?,
@@ -284,8 +284,3 @@ impl Store {
 
 /// Name of the database while a backup is restored.
 const RESTORING: &str = "relume.db.restoring";
-
-/// Whether a data directory has artifacts or the result of an incomplete restore.
-fn has_artifacts(root: &Path) -> Result<bool, StoreError> {
-    Ok(root.join(RESTORING).exists() || !references::artifact_keys(&root.join("artifacts"))?.is_empty())
-}

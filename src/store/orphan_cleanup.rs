@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use crate::store::exports::EXPORTS;
-use crate::store::references::{artifact_keys, references};
+use crate::store::references::{artifact_keys, names, references};
 use crate::store::uploads::UPLOADS;
 use crate::store::{Store, StoreError, sql};
 
@@ -27,12 +27,15 @@ pub struct OrphanCleanup {
 impl Store {
     /// Removes leftover files of known jobs' attempts, of ended uploads and of exports. Moves files that the database does not
     /// know to the orphans folder for seven days, because the database may be an old copy. Keeps files that a remote worker has
-    /// sent for the model that it is about to publish, and files with names that this program does not create. The caller must
-    /// hold the lock of the data directory.
+    /// sent for the model that it is about to publish, and files with names that this program does not create. Does nothing if the
+    /// database has never named an artifact. The caller must hold the lock of the data directory.
     ///
     /// # Errors
     /// When the database or a file operation fails.
     pub async fn clean_up_orphans(&self, now: SystemTime) -> Result<OrphanCleanup, StoreError> {
+        if names(self.pool()).await?.is_empty() {
+            return Ok(OrphanCleanup::default());
+        }
         let named: HashSet<String> =
             references(self.pool()).await?.into_iter().map(|reference| reference.artifact).collect();
         let attempts =

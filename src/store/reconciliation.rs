@@ -7,7 +7,7 @@ use std::time::{Duration, SystemTime};
 use crate::store::artifacts::Remote;
 use crate::store::exports::EXPORTS;
 use crate::store::orphan_cleanup::{ORPHAN_RETENTION, ORPHANS};
-use crate::store::references::{is_artifact_name, references};
+use crate::store::references::{is_artifact_name, names, references};
 use crate::store::{Store, StoreError, sql};
 
 /// Minimum age of an unreferenced object before it is removed.
@@ -27,14 +27,17 @@ pub struct ReconciliationReport {
 impl Store {
     /// Sends artifacts that the database references and that only this machine has to the object store. There it removes leftover
     /// objects of known jobs' attempts and of exports, and moves objects that the database does not know to the orphans folder
-    /// for seven days. Does nothing without an object store. The caller must hold the lock of the data directory and be the only
+    /// for seven days. Does nothing without an object store, or if the database has never named an artifact. The caller must hold the lock of the data directory and be the only
     /// server on the database.
     ///
     /// # Errors
     /// When the database, the object store or a file operation fails. The next run continues.
     pub async fn reconcile_artifacts(&self, now: SystemTime) -> Result<ReconciliationReport, StoreError> {
-        let Some(remote) = self.artifacts.remote() else { return Ok(ReconciliationReport::default()) };
         let mut report = ReconciliationReport::default();
+        let Some(remote) = self.artifacts.remote() else { return Ok(report) };
+        if names(self.pool()).await?.is_empty() {
+            return Ok(report);
+        }
         let objects = remote.list("").await?;
         let sizes: HashMap<&str, u64> =
             objects.iter().map(|object| (object.key.as_str(), object.bytes)).collect();

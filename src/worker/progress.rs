@@ -39,7 +39,9 @@ impl ProgressReporter {
         progress: Progress,
     ) -> Option<JobProgress> {
         self.eta.note(progress.step, now_ms);
-        if now_ms < self.reported_ms.saturating_add(INTERVAL_MS) && progress.step < progress.total {
+        // A clock that was set back does not delay the next report.
+        let is_recent = (self.reported_ms..self.reported_ms.saturating_add(INTERVAL_MS)).contains(&now_ms);
+        if is_recent && progress.step < progress.total {
             return None;
         }
         self.reported_ms = now_ms;
@@ -122,6 +124,21 @@ mod tests {
         assert_eq!(
             [at(0, 1), at(499, 2), at(500, 3), at(501, 99), at(502, 100)],
             [true, false, true, false, true]
+        );
+    }
+
+    #[test]
+    fn events_continue_when_the_clock_is_set_back() {
+        let config = TrainConfig { iterations: 100, ..TrainConfig::preset(Preset::Draft) };
+        let photographs = PhotographCost { count: 1.0, pixels: 1.0 };
+        let mut reporter = ProgressReporter::new(Eta::new(&config, photographs, 0, 1_000_000));
+        let mut at = |ms, n| {
+            let (report, progress) = step(n);
+            reporter.report(ms, &report, progress).is_some()
+        };
+        assert_eq!(
+            [at(1_000_000, 1), at(10_000, 2), at(10_400, 3), at(10_500, 4)],
+            [true, true, false, true]
         );
     }
 }

@@ -70,7 +70,8 @@ pub struct Job {
 #[derive(Debug, Clone)]
 struct Hidden {
     gated: bool,
-    created_ms: i64,
+    /// The order among the jobs of one priority.
+    turn: i64,
     lease_until_ms: i64,
 }
 
@@ -149,7 +150,7 @@ impl Model {
         if retry_of.is_some_and(|job| self.jobs[job].deleted) {
             return Submission::PredecessorDeleted;
         }
-        let job = self.jobs.len();
+        let (job, turn) = (self.jobs.len(), self.next_turn(priority));
         self.jobs.push(Job {
             state: JobState::Queued,
             priority,
@@ -162,7 +163,7 @@ impl Model {
             leased: false,
             models: 0,
         });
-        self.hidden.push(Hidden { gated, created_ms: now, lease_until_ms: 0 });
+        self.hidden.push(Hidden { gated, turn, lease_until_ms: 0 });
         self.turn(job, JobState::Queued);
         if let Some((key, request)) = key {
             self.keys.insert(key, (request, job, now));
@@ -173,8 +174,8 @@ impl Model {
     pub fn claim(&mut self) -> Option<Claim> {
         let by_age = self.is(Wrong::OldestFirst);
         let place = |job: &usize| {
-            let priority = if by_age { 0 } else { -self.jobs[*job].priority };
-            (priority, self.hidden[*job].created_ms, *job)
+            let (priority, turn) = (-self.jobs[*job].priority, self.hidden[*job].turn);
+            if by_age { (0, 0, *job) } else { (priority, turn, *job) }
         };
         let waiting = (0..self.jobs.len()).filter(|job| self.jobs[*job].state == JobState::Queued);
         let job = waiting.min_by_key(place)?;
@@ -300,10 +301,20 @@ impl Model {
 
     pub fn set_priority(&mut self, job: usize, priority: i64) -> bool {
         let waits = self.jobs[job].state == JobState::Queued;
-        if waits {
+        if waits && self.jobs[job].priority != priority {
+            self.hidden[job].turn = self.next_turn(priority);
             self.jobs[job].priority = priority;
         }
         waits
+    }
+
+    /// The turn after those of the waiting and running jobs of a priority. All jobs are of one tenant.
+    fn next_turn(&self, priority: i64) -> i64 {
+        let waits = |job: &Job| matches!(job.state, JobState::Queued | JobState::Running);
+        let jobs = self.jobs.iter().zip(&self.hidden);
+        let turns =
+            jobs.filter(|(job, _)| waits(job) && job.priority == priority).map(|(_, hidden)| hidden.turn);
+        turns.max().map_or(0, |last| last + 1)
     }
 
     /// Reclaims the expired leases, or all; returns their number.

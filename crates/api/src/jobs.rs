@@ -28,8 +28,8 @@ pub struct NewJob {
     #[serde(default)]
     #[cfg_attr(feature = "sqlx", sqlx(json))]
     pub overrides: TrainOverrides,
-    /// Priority, -100 to 100. Jobs with a higher priority run first. A value above 0 requires a key with the
-    /// scope `priority`. Omitted: 0.
+    /// Priority, -100 to 100. Jobs with a higher priority run first; within a priority, tenants take turns. A
+    /// value above 0 requires a key with the scope `priority`. Omitted: 0.
     #[serde(default)]
     #[schema(minimum = -100, maximum = 100)]
     pub priority: i64,

@@ -108,6 +108,7 @@ async fn serve(args: ServeArgs) -> CommandResult {
     args.poses.apply(&mut config);
     args.webhooks.apply(&mut config);
     config.retention = args.storage.retention();
+    config.retention_pace = args.storage.retention_pace();
     config.uploads.life = args.storage.upload_life();
     config.worker.device = args.device;
     args.local_workers.apply(&mut config)?;

@@ -21,9 +21,12 @@ pub(super) struct NetworkArgs {
     /// Timeout of an idle connection, seconds. Must exceed the idle timeout of a proxy.
     #[arg(long, env = "RELUME_IDLE_TIMEOUT", default_value = "75", value_parser = seconds)]
     idle_timeout: Duration,
-    /// Timeout between bytes of a request's body, seconds. The total time of an upload is not limited.
+    /// Timeout between bytes of a request's body, seconds.
     #[arg(long, env = "RELUME_BODY_TIMEOUT", default_value = "30", value_parser = seconds)]
     body_timeout: Duration,
+    /// Minimum rate of a request's body after its first minute, bytes per second. 0: no minimum. The total time of an upload is not limited.
+    #[arg(long, env = "RELUME_MIN_BODY_RATE", default_value_t = 1024)]
+    min_body_rate: u64,
     /// Timeout for a client to accept more bytes of its response, seconds.
     #[arg(long, env = "RELUME_WRITE_TIMEOUT", default_value = "60", value_parser = seconds)]
     write_timeout: Duration,
@@ -37,6 +40,7 @@ impl NetworkArgs {
             head: self.head_timeout,
             idle: self.idle_timeout,
             body: self.body_timeout,
+            body_rate: self.min_body_rate,
             write: self.write_timeout,
         }
     }

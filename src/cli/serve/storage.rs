@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 pub(super) use crate::cli::size::size;
+use crate::server::RetentionPace;
 use crate::store::{ArtifactsRedirect, ObjectStoreConfig, Retention};
 
 /// Options for storage and retention.
@@ -39,6 +40,12 @@ pub(super) struct StorageArgs {
     /// The server deletes an export this number of days after its end; it can be made again. Default: never.
     #[arg(long, env = "RELUME_KEEP_EXPORTS", value_name = "DAYS", value_parser = days)]
     keep_exports: Option<Duration>,
+    /// Hours after the start of the server, and after a jump of its clock, in which it deletes nothing by age.
+    #[arg(long, env = "RELUME_KEEP_DELAY", value_name = "HOURS", value_parser = hours, default_value = "1")]
+    keep_delay: Duration,
+    /// Maximum share of the jobs, captures, models and exports that the server deletes by age within a day, percent.
+    #[arg(long, env = "RELUME_KEEP_DAILY_SHARE", value_name = "PERCENT", value_parser = clap::value_parser!(u8).range(1..=100), default_value = "25")]
+    keep_daily_share: u8,
     /// The server deletes an unfinished resumable upload this number of days after its last chunk.
     #[arg(long, env = "RELUME_KEEP_UPLOADS", value_name = "DAYS", value_parser = days, default_value = "1")]
     keep_uploads: Duration,
@@ -59,6 +66,11 @@ impl StorageArgs {
         }
     }
 
+    /// The limits of deletion by age.
+    pub(super) fn retention_pace(&self) -> RetentionPace {
+        RetentionPace { delay: self.keep_delay, daily_share: f64::from(self.keep_daily_share) / 100.0 }
+    }
+
     pub(super) fn retention(&self) -> Retention {
         Retention {
             jobs: self.keep_jobs,
@@ -67,6 +79,14 @@ impl StorageArgs {
             exports: self.keep_exports,
         }
     }
+}
+
+/// Parses hours; fractions are allowed.
+fn hours(text: &str) -> Result<Duration, String> {
+    let hours = text.parse().ok().filter(|hours| (0.0..=876_000.0).contains(hours));
+    hours
+        .map(|hours: f64| Duration::from_secs_f64(hours * 3600.0))
+        .ok_or_else(|| "must be hours, 0 to 876000".to_owned())
 }
 
 /// Parses days; fractions are allowed.

@@ -77,7 +77,7 @@ impl Creation {
         if let Some(same) = app.store.capture_of_content(tenant, &incoming.sha256).await? {
             return Err(duplicate_capture(&same));
         }
-        if pose_job.is_none() && poses::needs_poses(app, &incoming).await? {
+        if pose_job.is_none() && poses::needs_poses(app, tenant, &incoming).await? {
             pose_job = Some(app.poses.enqueue(capture));
         }
         let id = capture.clone();

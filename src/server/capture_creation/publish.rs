@@ -41,7 +41,7 @@ async fn publish(
     metadata: ResourceMetadata,
     made_of: Option<String>,
 ) -> Result<CaptureRecord, Problem> {
-    let report = validate(app, &incoming).await?;
+    let report = validate(app, tenant, &incoming).await?;
     let record = CaptureRecord {
         id,
         sha256: incoming.sha256.clone(),

@@ -6,6 +6,7 @@ use crate::server::app::AppState;
 use crate::server::poses;
 use crate::server::problem::Problem;
 use crate::store::StagedUpload;
+use relume_api::TenantId;
 use relume_api::problem::ContentError;
 use relume_capture::{self, CaptureError, ImportOptions};
 use relume_spec::CaptureReport;
@@ -13,18 +14,19 @@ use relume_spec::CaptureReport;
 /// Decodes the whole capture to check that it is valid.
 pub(in crate::server) async fn validate(
     app: &AppState,
+    tenant: &TenantId,
     incoming: &StagedUpload,
 ) -> Result<CaptureReport, Problem> {
     let path = incoming.path.clone();
     let options = ImportOptions { limits: app.import_limits, ..ImportOptions::default() };
     let inspect = move || relume_capture::inspect(&path, &options);
-    let error = match app.decoders.run(inspect).await? {
+    let error = match app.validators.run(tenant, inspect).await? {
         Ok(report) => return Ok(report),
         Err(error) => error,
     };
     let mut problem = refused(&error, &incoming.path);
     if matches!(error, CaptureError::UnknownLayout { .. })
-        && let Some(reason) = poses::refusal(app, incoming).await?
+        && let Some(reason) = poses::refusal(app, tenant, incoming).await?
     {
         problem.detail = problem.detail.take().map(|detail| format!("{detail}; {reason}"));
     }

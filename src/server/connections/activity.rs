@@ -100,6 +100,7 @@ mod tests {
         head: Duration::from_secs(2),
         idle: Duration::from_secs(10),
         body: Duration::ZERO,
+        body_rate: 0,
         write: Duration::ZERO,
     };
 

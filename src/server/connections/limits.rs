@@ -19,6 +19,8 @@ pub struct ConnectionLimits {
     pub idle: Duration,
     /// Timeout between two chunks of a request's body.
     pub body: Duration,
+    /// Minimum rate of a request's body after its first minute, bytes per second.
+    pub body_rate: u64,
     /// Timeout between two chunks of an answer that the client accepts.
     pub write: Duration,
 }
@@ -32,6 +34,7 @@ impl Default for ConnectionLimits {
             // Proxies keep idle connections for 60 seconds. The proxy should close first.
             idle: Duration::from_secs(75),
             body: Duration::from_secs(30),
+            body_rate: 1024,
             write: Duration::from_secs(60),
         }
     }

@@ -18,6 +18,8 @@ const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 pub(super) enum ExportError {
     /// It was cancelled or deleted, or the server is stopping.
     Unwanted,
+    /// The disk is full or the database cannot be reached. The export continues when that has changed.
+    Paused(StoreError),
     /// It failed.
     Failed {
         /// Stable code: the kind of the problem that a request would have returned, or `export_failed`.
@@ -45,7 +47,12 @@ impl From<Problem> for ExportError {
 
 impl From<StoreError> for ExportError {
     fn from(error: StoreError) -> Self {
-        Problem::from(error).into()
+        match error {
+            StoreError::Full | StoreError::NoDiskSpace { .. } | StoreError::DatabaseUnreachable(_) => {
+                Self::Paused(error)
+            }
+            error => Problem::from(error).into(),
+        }
     }
 }
 

@@ -14,6 +14,8 @@ use relume_api::exports::NewExport;
 
 /// Time between two checks of the queue without a notification.
 const INTERVAL: Duration = Duration::from_secs(10);
+/// Time between two attempts while the disk is full or the database cannot be reached.
+const PAUSE: Duration = Duration::from_secs(2);
 
 /// Makes exports until the server stops.
 pub(in crate::server) async fn work(app: AppState) {
@@ -65,11 +67,45 @@ async fn run(app: &AppState, export: ClaimedExport) {
         Err(ExportError::Unwanted) => Ok(()),
         Err(failed) => Err(failed),
     };
-    if let Err(ExportError::Failed { code, detail }) = kept {
-        tracing::info!(export = %id, code, detail, "an export failed");
-        if let Err(error) = app.store.fail_export(&id, &code, &detail, app.jobs.now_ms()).await {
-            tracing::error!(%error, export = %id, "cannot record the failure of an export; the next start makes it again");
+    match kept {
+        Ok(()) | Err(ExportError::Unwanted) => {}
+        Err(ExportError::Paused(error)) => {
+            tracing::warn!(%error, export = %id, "an export is paused");
+            if !matches!(error, StoreError::DatabaseUnreachable(_)) {
+                app.store.disk_space().note_shortage(1);
+            }
+            record(app, &id, None).await;
+            pause(app).await;
         }
+        Err(ExportError::Failed { code, detail }) => {
+            tracing::info!(export = %id, code, detail, "an export failed");
+            record(app, &id, Some((&code, &detail))).await;
+        }
+    }
+}
+
+/// Waits before the next attempt, or until the server stops.
+async fn pause(app: &AppState) {
+    tokio::select! {
+        () = app.stop.cancelled() => {}
+        () = tokio::time::sleep(PAUSE) => {}
+    }
+}
+
+/// Records that an export failed with this code and detail, or that it waits again. On a full disk the reserve is released. Tries
+/// again until it succeeds or the server stops; then the next start queues the export again.
+async fn record(app: &AppState, id: &ExportId, failure: Option<(&str, &str)>) {
+    while !app.stop.is_cancelled() {
+        let recorded = match failure {
+            Some((code, detail)) => app.store.fail_export(id, code, detail, app.jobs.now_ms()).await,
+            None => app.store.requeue_exports(Some(id)).await.map(drop),
+        };
+        match recorded {
+            Ok(()) => return,
+            Err(StoreError::Full) if app.store.disk_space().spend_reserve() => continue,
+            Err(error) => tracing::error!(%error, export = %id, "cannot record the state of an export yet"),
+        }
+        pause(app).await;
     }
 }
 

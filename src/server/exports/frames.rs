@@ -14,7 +14,9 @@ use crate::server::exports::{splats, video, zip};
 use crate::server::{models, renders};
 use crate::store::{ExportRecord, ExportedFile, make_private};
 use crate::worker::{ModelSource, RenderTask};
+use relume_api::TenantId;
 use relume_api::exports::{FramesExport, Package};
+use relume_scene::Model;
 use relume_spec::rendering::{Background, FrameFormat};
 use relume_train::render::{EncodeOptions, FrameView, Viewpoint};
 
@@ -32,7 +34,7 @@ pub(super) async fn make(
     let plan = FramesPlan::of(app, &export.tenant, spec, up).await?;
     let (model, _) = models::source(app, &export.tenant, &export.model_id).await?;
     let plan = Arc::new(plan);
-    let views = views(app, &plan, &model).await?;
+    let views = views(app, &plan, &export.tenant, &model).await?;
     let folder = app.store.export_folder(&export.id);
     make_private(&folder)?;
     let (mut names, mut bytes) = (Vec::with_capacity(views.len()), 0);
@@ -69,13 +71,16 @@ fn frame_name(index: usize, format: FrameFormat) -> String {
 async fn views(
     app: &AppState,
     plan: &Arc<FramesPlan>,
+    tenant: &TenantId,
     source: &ModelSource,
 ) -> Result<Vec<FrameView>, ExportError> {
     if !plan.needs_model() {
         return Ok(plan.path_views());
     }
     let plan = plan.clone();
-    splats::with_model(app, source, 0, move |model| plan.views(&model).map_err(ExportError::from)).await
+    // Not the threads of files: a mesh may occupy them for minutes.
+    let views = move |model: Model| plan.views(&model).map_err(ExportError::from);
+    splats::with_model(app, &app.decoders, tenant, source, 0, views).await
 }
 
 /// Renders and encodes one frame when no other request waits for a frame.

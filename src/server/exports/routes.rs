@@ -162,7 +162,7 @@ async fn delete_export(
     caller: Caller,
     UrlPath(id): UrlPath<ExportId>,
 ) -> Result<Response, Problem> {
-    match app.store.delete_export(&caller.tenant, &id, app.jobs.now_ms()).await? {
+    match app.jobs.delete_export(&caller.tenant, &id).await? {
         ExportDeletion::Cancelled(export) => {
             app.exports.stop(&id);
             app.exports.wake();

@@ -1,6 +1,7 @@
 //! Exports of files for other programs.
 
 use crate::server::app::AppState;
+use crate::server::decoders::Decoders;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
 use crate::server::exports::light::light;
 use crate::server::exports::request;
@@ -8,6 +9,7 @@ use crate::server::memory::export_bytes;
 use crate::server::models;
 use crate::store::{ExportRecord, ExportedFile, make_private};
 use crate::worker::{LightSource, ModelContent, ModelSource};
+use relume_api::TenantId;
 use relume_api::exports::{ExportKind, MeshExport, SplatsExport};
 use relume_api::renders::EnvironmentSpec;
 use relume_capture::formats::model_file;
@@ -30,7 +32,7 @@ pub(super) async fn make(
     let (file, extension, content_type) = file_of(export.kind);
     let (degree, flatten) = (spec.relit_degree as usize, spec.flatten);
     let (source, _) = models::source(app, &export.tenant, &export.model_id).await?;
-    let bytes = with_model(app, &source, 0, move |mut model| {
+    let bytes = with_model(app, &app.exports.file_threads, &export.tenant, &source, 0, move |mut model| {
         if let Some(light) = light {
             model = relight(model, &light, &environment, degree)?;
         }
@@ -50,16 +52,20 @@ pub(super) async fn make_mesh(
 ) -> Result<ExportedFile, ExportError> {
     let cells = spec.cells as usize;
     let (source, _) = models::source(app, &export.tenant, &export.model_id).await?;
-    let bytes =
-        with_model(app, &source, cells, move |model| encode_mesh_file(model, cells).map_err(refused)).await?;
+    let bytes = with_model(app, &app.exports.file_threads, &export.tenant, &source, cells, move |model| {
+        encode_mesh_file(model, cells).map_err(refused)
+    })
+    .await?;
     let (_, extension, content_type) = file_of(export.kind);
     write(app, export, format!("{}-mesh.{extension}", export.model_id), content_type, bytes).await
 }
 
-/// Reads a model and runs `work` on separate threads, with a permit for the memory. `cells` is the resolution of a mesh, 0 for
+/// Reads a model and runs `work` on `threads`, with a permit for the memory. `cells` is the resolution of a mesh, 0 for
 /// other files. The work continues to its end even if the future is dropped.
 pub(super) async fn with_model<T: Send + 'static>(
     app: &AppState,
+    threads: &Decoders,
+    tenant: &TenantId,
     source: &ModelSource,
     cells: usize,
     work: impl FnOnce(Model) -> Result<T, ExportError> + Send + 'static,
@@ -75,7 +81,7 @@ pub(super) async fn with_model<T: Send + 'static>(
             Err(refusal) => busy_retry.wait(refusal).await?,
         }
     };
-    let made = app.exports.file_threads.run(move || {
+    let made = threads.run(tenant, move || {
         let _held = memory;
         let model = model_file::decode(&std::fs::read(&path)?);
         work(model.map_err(|error| ExportError::failed(format!("the model cannot be read: {error}")))?)

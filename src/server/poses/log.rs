@@ -53,7 +53,7 @@ async fn get_log(
             let path = app.store.artifacts().local_path(&capture.artifact);
             let limits = app.import_limits;
             let read = move || CaptureFiles::open(&path, &limits)?.read(LOG);
-            let bytes = app.decoders.run(read).await?.map_err(Problem::internal)?;
+            let bytes = app.decoders.run(&caller.tenant, read).await?.map_err(Problem::internal)?;
             String::from_utf8_lossy(&bytes).into_owned()
         }
         None => {

@@ -21,18 +21,23 @@ use relume_capture::poses::{PoseError, RunControl, find_poses};
 use relume_capture::{ImportLimits, PhotosWithoutPoses};
 
 /// Whether an upload has photographs without poses and this server can find them.
-pub(in crate::server) async fn needs_poses(app: &AppState, incoming: &StagedUpload) -> Result<bool, Problem> {
+pub(in crate::server) async fn needs_poses(
+    app: &AppState,
+    tenant: &TenantId,
+    incoming: &StagedUpload,
+) -> Result<bool, Problem> {
     Ok(app.poses.policy.is_on
-        && are_photographs(app, incoming).await?
+        && are_photographs(app, tenant, incoming).await?
         && app.poses.check_available().await.is_ok())
 }
 
 /// The reason why this server finds no poses for an upload; `None` if the photographs have poses.
 pub(in crate::server) async fn refusal(
     app: &AppState,
+    tenant: &TenantId,
     incoming: &StagedUpload,
 ) -> Result<Option<String>, Problem> {
-    if !are_photographs(app, incoming).await? {
+    if !are_photographs(app, tenant, incoming).await? {
         return Ok(None);
     }
     Ok(Some(match app.poses.check_available().await {
@@ -41,10 +46,15 @@ pub(in crate::server) async fn refusal(
     }))
 }
 
-async fn are_photographs(app: &AppState, incoming: &StagedUpload) -> Result<bool, Problem> {
+async fn are_photographs(
+    app: &AppState,
+    tenant: &TenantId,
+    incoming: &StagedUpload,
+) -> Result<bool, Problem> {
     let (path, limits) = (incoming.path.clone(), app.import_limits);
     // An upload that cannot be opened is refused by the validation, which gives the reason.
-    app.decoders.run(move || matches!(PhotosWithoutPoses::open(&path, &limits), Ok(Some(_)))).await
+    let open = move || matches!(PhotosWithoutPoses::open(&path, &limits), Ok(Some(_)));
+    app.decoders.run(tenant, open).await
 }
 
 /// Finds the poses of the photographs of an upload. Returns the posed capture in its place. If the server stops, the intermediate

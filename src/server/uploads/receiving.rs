@@ -3,11 +3,10 @@
 use axum::extract::Request;
 use axum::http::StatusCode;
 use futures::TryStreamExt;
-use tower_http::timeout::TimeoutError;
 
 use crate::server::app::AppState;
 use crate::server::caller::Caller;
-use crate::server::extract::{STALLED, caused_by, content_length, media_type};
+use crate::server::extract::{STALLED, content_length, is_too_slow, media_type};
 use crate::server::problem::Problem;
 use crate::server::uploads::finding::{PIECE, expiry, find_locked};
 use crate::server::uploads::headers;
@@ -73,7 +72,7 @@ async fn append(
     // A separate task, so that received bytes are kept even if the connection of the caller ends.
     let appending = tokio::spawn(async move {
         let mut stalled = false;
-        let body = body.inspect_err(|error| stalled = caused_by::<TimeoutError>(error));
+        let body = body.inspect_err(|error| stalled = is_too_slow(error));
         let piece = Piece { upload, lock: &lock, checksum, expires_ms: &|| expiry(&app) };
         let appended = app.store.append(piece, body).await;
         (appended, stalled)

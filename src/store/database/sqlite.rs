@@ -53,6 +53,16 @@ impl DatabaseFile {
         Ok(found?)
     }
 
+    /// Whether an existing `root/relume.db` has the tables of this program, in any version.
+    pub(in crate::store) async fn has_schema(root: &Path) -> Result<bool, StoreError> {
+        let pool = Self::open_read_only(root).await?;
+        let query =
+            sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sqlite_master WHERE name = '_sqlx_migrations')");
+        let found = query.fetch_one(&pool).await;
+        pool.close().await;
+        Ok(found?)
+    }
+
     /// Opens one connection to an existing `root/relume.db`, for copying.
     pub(in crate::store) async fn open_to_copy(root: &Path) -> Result<SqlitePool, StoreError> {
         Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options(&root.join(FILE))).await?)

@@ -48,7 +48,7 @@ pub(super) const TABLES: &[TableSpec] = &[
         Text id tenant capture_id retry_of preset device state lease_token message checkpoint checkpoint_sha256 model_id
             error_code error_detail name external_id worker traceparent,
         Json overrides quality_gate figures labels requires,
-        Int priority created_ms started_ms finished_ms attempts idle_attempts lease_until_ms step total gaussians
+        Int priority turn created_ms started_ms finished_ms attempts idle_attempts lease_until_ms step total gaussians
             checkpoint_step model_deleted_ms deleted_ms swept_ms,
         Real loss psnr eta_seconds),
     table!("models" by "id":

@@ -50,18 +50,21 @@ impl Store {
         Ok(if deleted == 1 { ExportDeletion::Deleted } else { ExportDeletion::NotFound })
     }
 
-    /// Deletes exports that ended longer ago than `keep`. Returns their number.
+    /// Deletes at most `most` exports that ended longer ago than `keep`. Returns their number.
     pub(in crate::store) async fn expire_exports(
         &self,
         keep: Duration,
+        most: usize,
         now_ms: i64,
-    ) -> Result<u64, StoreError> {
+    ) -> Result<usize, StoreError> {
         let before = now_ms.saturating_sub(i64::try_from(keep.as_millis()).unwrap_or(i64::MAX));
         let mut tx = self.write().await?;
-        let query = "UPDATE exports SET deleted_ms = $2 WHERE deleted_ms IS NULL AND finished_ms < $1";
-        let deleted = sql::query(query).bind(before).bind(now_ms).execute(&mut tx).await?;
+        let query = "UPDATE exports SET deleted_ms = $2 WHERE id IN (SELECT id FROM exports
+             WHERE deleted_ms IS NULL AND finished_ms < $1 ORDER BY finished_ms LIMIT $3)";
+        let most = i64::try_from(most).unwrap_or(i64::MAX);
+        let deleted = sql::query(query).bind(before).bind(now_ms).bind(most).execute(&mut tx).await?;
         tx.commit().await?;
-        Ok(deleted)
+        Ok(usize::try_from(deleted).unwrap_or(usize::MAX))
     }
 
     /// Removes the files and rows of deleted exports. Returns their number.
