@@ -14,6 +14,7 @@ from relume.client import Client
 from relume.errors import ExportFailed, JobFailed, RelumeError, Unreachable
 from relume.frames import Frame
 from relume.resources import Capture, Environment, Export, Job, Light, Model
+from relume.server import Server, program
 
 __all__ = [
     "Camera",
@@ -28,8 +29,10 @@ __all__ = [
     "Light",
     "Model",
     "RelumeError",
+    "Server",
     "Unreachable",
     "look_at",
     "matrix",
     "orbit",
+    "program",
 ]

@@ -1,0 +1,86 @@
+"""Writes docs/accuracy.md from the JSON files of the tables."""
+
+import json
+import statistics
+from pathlib import Path
+
+from tables import TABLES
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+FOLDER = DOCS / "accuracy"
+
+# Name, heading and digits of each column.
+COLUMNS = [
+    ("relit", "relit, raw", 2),
+    ("relit_aligned", "relit, aligned", 2),
+    ("novel_view", "novel view", 2),
+    ("albedo_aligned", "albedo, aligned", 2),
+    ("normals", "normals", 1),
+    ("ao", "AO", 3),
+    ("roughness", "roughness", 3),
+]
+
+HEAD = """# Accuracy
+
+`python3 benches/accuracy/measure.py DATA LIGHTS WORK` measured these tables and wrote this page. Each table names its commit. Do not edit this page: change the tables in
+benches/accuracy/tables.py, or the text in benches/accuracy/page.py.
+
+Images are in dB PSNR, the mean over all held-out views. *Relit* pictures are under lights that the training did not see: *raw* as recovered, *aligned* after one factor for each channel of
+the albedo. Normals are mean errors in degrees; AO and roughness are mean absolute errors, 0 to 1. [Results](results.md) describes the protocol and the scenes.
+The last captures are of [benches/lights.py](../benches/lights.py): their name is a scene and a light. The settings were not chosen on them.
+"""
+
+
+def write_json(table):
+    """Writes one table. Its rows have the figures of each seed."""
+    FOLDER.mkdir(exist_ok=True)
+    (FOLDER / f"{table['name']}.json").write_text(json.dumps(table, indent=1) + "\n")
+
+
+def summary(values, digits):
+    """Mean and, of several seeds, standard deviation; a dash if a seed has no value."""
+    if any(v is None or v != v for v in values):
+        return "-"
+    mean = f"{statistics.fmean(values):.{digits}f}"
+    return mean if len(values) == 1 else f"{mean} ± {statistics.stdev(values):.{digits}f}"
+
+
+def means(rows, variant):
+    """The row of means over all scenes of one variant."""
+    scenes = [row["runs"] for row in rows if row["variant"] == variant]
+    def mean(key, digits):
+        values = [run[key] for runs in scenes for run in runs]
+        usable = [statistics.fmean(run[key] for run in runs) for runs in scenes] if None not in values else []
+        return f"**{statistics.fmean(usable):.{digits}f}**" if usable else "-"
+    return [f"**mean of {len(scenes)}**", variant, *(mean(key, digits) for key, _, digits in COLUMNS)]
+
+
+def section(table):
+    """Markdown of one table."""
+    rows = [
+        [row["scene"], row["variant"], *(summary([run[key] for run in row["runs"]], digits) for key, _, digits in COLUMNS)]
+        for row in table["rows"]
+    ]
+    variants = list(dict.fromkeys(row["variant"] for row in table["rows"]))
+    rows += [means(table["rows"], variant) for variant in variants]
+    seeds = sorted({run["seed"] for row in table["rows"] for run in row["runs"]})
+    head = ["scene", "variant", *(heading for _, heading, _ in COLUMNS)]
+    lines = [
+        f"\n## {table['title']}\n",
+        f"Preset `{table['preset']}`, {table['resolution']} px, seeds {', '.join(map(str, seeds))}; commit {table['commit']}, {table['machine']}. {table['about']}".strip() + "\n",
+        "| " + " | ".join(head) + " |",
+        "|---|---|" + "---:|" * len(COLUMNS),
+        *("| " + " | ".join(row) + " |" for row in rows),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def text():
+    """The whole page."""
+    files = [FOLDER / f"{table['name']}.json" for table in TABLES]
+    return HEAD + "".join(section(json.loads(file.read_text())) for file in files if file.exists())
+
+
+def write_page():
+    """Writes the page."""
+    (DOCS / "accuracy.md").write_text(text())
