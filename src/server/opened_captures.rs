@@ -7,7 +7,6 @@ use std::time::Duration;
 use lru::LruCache;
 
 use crate::server::keyed_locks::KeyedLocks;
-use crate::server::memory::MemoryPermit;
 use crate::server::problem::Problem;
 use relume_capture::CapturePhotos;
 
@@ -19,8 +18,6 @@ const KEEP_OPEN: Duration = Duration::from_secs(30);
 /// An open capture.
 pub(super) struct Opened {
     pub(super) photographs: CapturePhotos,
-    /// The permit for its memory.
-    pub(super) _memory: Option<MemoryPermit>,
 }
 
 /// The open captures, by the hash of their archives. Clones share them.

@@ -229,9 +229,7 @@ async fn open_archive(app: &AppState, tenant: &TenantId, capture: &CaptureRecord
     let limits = app.import_limits;
     let open = move || CapturePhotos::open(&path, &limits);
     let photographs = app.decoders.run(tenant, open).await?.map_err(|error| unreadable(&error))?;
-    let held = photographs.held_bytes();
-    let memory = if held > 0 { Some(app.memory.reserve(held).await?) } else { None };
-    Ok(Opened { photographs, _memory: memory })
+    Ok(Opened { photographs })
 }
 
 /// The problem of a stored capture that cannot be read, although it was valid when it was stored.

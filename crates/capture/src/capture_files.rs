@@ -62,14 +62,6 @@ impl CaptureFiles {
         &self.limits
     }
 
-    /// Bytes of memory that an open archive takes, without its index: those of a gzipped tar.
-    pub(super) fn held_bytes(&self) -> u64 {
-        match &self.container {
-            Container::Tar(tar) => tar.held_bytes(),
-            Container::Folder { .. } | Container::Zip(_) => 0,
-        }
-    }
-
     /// True when there is a file of that path.
     pub fn contains(&self, path: &str) -> bool {
         self.files.contains_key(path)

@@ -1,6 +1,7 @@
 //! Errors of captures: a message for people and a code for programs.
 
 use crate::photo_finder::MIN_IMAGES;
+use crate::text::shown;
 
 /// An error that names the file at fault, and the field in it.
 #[derive(Debug, thiserror::Error)]
@@ -110,24 +111,24 @@ fn missing_note(missing: &[String]) -> String {
 /// Names joined by commas; beyond 64, a count of the rest.
 pub(super) fn name_list(names: &[String]) -> String {
     const SHOWN: usize = 64;
-    let shown = names.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
-    if names.len() > SHOWN { format!("{shown} and {} more", names.len() - SHOWN) } else { shown }
+    let listed = names.iter().take(SHOWN).map(|name| shown(name)).collect::<Vec<_>>().join(", ");
+    if names.len() > SHOWN { format!("{listed} and {} more", names.len() - SHOWN) } else { listed }
 }
 
 impl CaptureError {
     /// [`CaptureError::Field`].
     pub(super) fn at_field(file: &str, field: impl Into<String>, reason: impl Into<String>) -> Self {
-        Self::Field { file: file.to_owned(), field: field.into(), reason: reason.into() }
+        Self::Field { file: shown(file), field: shown(&field.into()), reason: reason.into() }
     }
 
     /// [`CaptureError::OverLimit`].
     pub(super) fn over_limit(file: &str, limit: &'static str, reason: impl Into<String>) -> Self {
-        Self::OverLimit { file: file.to_owned(), limit, reason: reason.into() }
+        Self::OverLimit { file: shown(file), limit, reason: reason.into() }
     }
 
     /// [`CaptureError::Image`].
     pub(super) fn image(file: &str, reason: impl std::fmt::Display) -> Self {
-        Self::Image { file: file.to_owned(), reason: reason.to_string() }
+        Self::Image { file: shown(file), reason: reason.to_string() }
     }
 
     /// A stable identifier of the kind of error, for APIs.

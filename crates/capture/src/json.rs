@@ -16,12 +16,14 @@ pub(super) fn parse_json<T: DeserializeOwned>(file: &str, bytes: &[u8]) -> Resul
     let bytes = text.as_bytes();
     serde_json::from_slice(bytes).map_err(|error| {
         let before = error_offset(bytes, &error);
+        // The error repeats a value of the file.
+        let error = text::shown(&error.to_string());
         let hint = python_float_at(bytes, before).map_or(String::new(), |token| {
             format!(" ({token} is not JSON; some tools write it for values that are not numbers)")
         });
         let file = file.to_owned();
         match last_key(&bytes[..before]) {
-            Some(field) => CaptureError::Field { file, field, reason: format!("{error}{hint}") },
+            Some(field) => CaptureError::at_field(&file, field, format!("{error}{hint}")),
             None => CaptureError::File { file, reason: format!("is not valid JSON: {error}{hint}") },
         }
     })

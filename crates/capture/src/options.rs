@@ -13,7 +13,9 @@ pub struct ImportLimits {
     pub max_entry_bytes: u64,
     /// Uncompressed bytes of all entries together.
     pub max_total_bytes: u64,
-    /// Bytes that a gzipped tar may unpack to. Unlike the other containers it is held in memory.
+    /// Bytes of memory for the names and headers of an archive's entries.
+    pub max_header_bytes: u64,
+    /// Bytes that a gzipped tar may unpack to. Unlike the other containers it is unpacked to disk as a whole.
     pub max_gzip_bytes: u64,
     /// Uncompressed size over compressed size, for entries beyond 1 MiB and for the whole archive.
     pub max_ratio: u64,
@@ -34,6 +36,7 @@ impl Default for ImportLimits {
             max_entries: 100_000,
             max_entry_bytes: 1 << 30,
             max_total_bytes: 64 << 30,
+            max_header_bytes: 128 << 20,
             max_gzip_bytes: 4 << 30,
             max_ratio: 200,
             max_image_pixels: image_file::DEFAULT_MAX_PIXELS,

@@ -7,6 +7,7 @@ use unicode_normalization::UnicodeNormalization;
 
 use crate::error::name_list;
 use crate::selection::PHOTOGRAPHS;
+use crate::text::shown;
 use crate::{CaptureError, CaptureFiles, masks};
 
 /// Least number of photographs in a capture.
@@ -73,15 +74,15 @@ impl<'a> PhotoFinder<'a> {
     fn find_similar(&mut self, name: &str, taken: &BTreeSet<String>) -> Option<String> {
         match self.similar(name, taken)[..] {
             [path] => {
-                self.renamed.push((name.to_owned(), path.to_owned()));
+                self.renamed.push((shown(name), shown(path)));
                 Some(path.to_owned())
             }
             [] => {
-                self.missing.push(name.to_owned());
+                self.missing.push(shown(name));
                 None
             }
             [first, second, ..] => {
-                self.missing.push(format!("{name} (it may be {first} or {second})"));
+                self.missing.push(format!("{} (it may be {} or {})", shown(name), shown(first), shown(second)));
                 None
             }
         }

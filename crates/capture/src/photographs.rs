@@ -39,11 +39,6 @@ impl CapturePhotos {
         Ok(Self { source, photos })
     }
 
-    /// Bytes of memory that the open capture takes: those of a gzipped tar. Other captures stay on disk.
-    pub fn held_bytes(&self) -> u64 {
-        self.source.held_bytes()
-    }
-
     /// The cameras of the photographs, in the order in which the layout names them: those of [`crate::cameras`].
     ///
     /// # Errors

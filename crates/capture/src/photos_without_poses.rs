@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use crate::formats::is_heif;
 use crate::masks::{self, MaskFile};
 use crate::selection::{self, IgnoredFile, Selection};
+use crate::text::fault_of_name;
 use crate::{CaptureError, CaptureFiles, ImportLimits, images, layout};
 
 /// Bytes at the start of a file that tell whether it is a HEIC picture.
@@ -56,6 +57,10 @@ impl PhotosWithoutPoses {
         let masks = masks::assign(&borrowed, source.paths()).masks;
         let mut photos = BTreeMap::new();
         for (name, mask) in names.into_iter().zip(masks) {
+            // COLMAP's files have one name a line.
+            if let Some(fault) = fault_of_name(&name) {
+                return Err(CaptureError::image(&name, fault));
+            }
             let is_heif = is_heif(&source.read_start(&name, HEIF_START)?);
             photos.insert(name, Photo { mask, is_heif });
         }

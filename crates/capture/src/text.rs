@@ -18,6 +18,30 @@ pub(crate) fn decode(bytes: &[u8]) -> Option<Cow<'_, str>> {
     }
 }
 
+/// Longest name of a file in a capture, bytes.
+const NAME_BYTES: usize = 1024;
+/// Longest name or value that a message repeats, bytes.
+const SHOWN_BYTES: usize = 256;
+
+/// The reason why `name` cannot be the name of a file in a capture.
+pub(crate) fn fault_of_name(name: &str) -> Option<&'static str> {
+    if name.len() > NAME_BYTES {
+        return Some("is longer than 1024 bytes; give files and folders shorter names");
+    }
+    name.contains(char::is_control).then_some("contains a control character, e.g. a NUL or a line break; rename the file")
+}
+
+/// A name or value of a file, as messages repeat it: the first 256 bytes and the number of the omitted bytes, with U+FFFD in
+/// place of control characters.
+pub(crate) fn shown(text: &str) -> String {
+    let end = text.floor_char_boundary(SHOWN_BYTES);
+    let start: String = text[..end].chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
+    match text.len() - end {
+        0 => start,
+        more => format!("{start}... ({more} more bytes)"),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -38,5 +62,16 @@ mod tests {
         }
         assert_eq!(decode(b"gr\xf6\xdfe"), None, "Latin-1");
         assert_eq!(decode(&[0xff, 0xfe, 0x41]), None, "half a character");
+    }
+
+    #[test]
+    fn names_in_messages_are_short_and_without_control_characters() {
+        assert_eq!(shown("train/größe 1.png"), "train/größe 1.png", "the control");
+        assert_eq!(shown("a\0b\nc"), "a\u{fffd}b\u{fffd}c");
+        assert_eq!(shown(&"é".repeat(200)), format!("{}... (144 more bytes)", "é".repeat(128)));
+        assert_eq!(fault_of_name("train/größe 1.png"), None, "the control");
+        for name in ["a\0", "a\nb.png", &"x".repeat(1025)] {
+            assert!(fault_of_name(name).is_some(), "{name:?}");
+        }
     }
 }

@@ -9,6 +9,7 @@ use crate::json::parse_json;
 use crate::json_fields::Fields;
 use crate::lens::Lens;
 use crate::stated_lens::StatedLens;
+use crate::text::fault_of_name;
 use crate::{CaptureError, CaptureFiles, ImportLimits};
 
 /// A parsed `transforms*.json`.
@@ -75,7 +76,11 @@ pub(super) fn parse(file: &str, bytes: &[u8], limits: &ImportLimits) -> Result<T
         frame(&Fields::new(file, &field, value)?, &shared)
     });
     let frames = frames.collect::<Result<_, _>>()?;
-    let points = set.text("ply_file_path")?.map(str::to_owned);
+    let points = set.text("ply_file_path")?;
+    if let Some(fault) = points.and_then(fault_of_name) {
+        return Err(set.error("ply_file_path", fault));
+    }
+    let points = points.map(str::to_owned);
     let names = |field: &str| -> Result<BTreeSet<String>, CaptureError> {
         let names = set.list(field)?.unwrap_or_default().iter().filter_map(Value::as_str);
         Ok(names.filter_map(relative).collect())
@@ -86,8 +91,9 @@ pub(super) fn parse(file: &str, bytes: &[u8], limits: &ImportLimits) -> Result<T
 }
 
 fn frame(fields: &Fields<'_>, shared: &StatedLens) -> Result<TransformsFrame, CaptureError> {
-    let inside = |name: &str, path: &str| {
-        relative(path).ok_or_else(|| fields.error(name, "must be a path inside the capture"))
+    let inside = |name: &str, path: &str| match fault_of_name(path) {
+        Some(fault) => Err(fields.error(name, fault)),
+        None => relative(path).ok_or_else(|| fields.error(name, "must be a path inside the capture")),
     };
     let path = fields.text("file_path")?.ok_or_else(|| fields.error("file_path", "is missing"))?;
     let path = inside("file_path", path)?;

@@ -1,12 +1,9 @@
 //! The pose estimation stage: turns an upload of photographs into an upload of a capture.
 
-use std::fs::File;
-use std::io::{BufReader, Read};
 use std::path::Path;
 use std::sync::Arc;
 
 use axum::http::StatusCode;
-use flate2::read::MultiGzDecoder;
 use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::sync::CancellationToken;
 
@@ -111,8 +108,6 @@ impl PoseTask {
         let _colmap_permit = &self.colmap_permit;
         let policy = &self.app.poses.policy;
         let limits: ImportLimits = self.app.import_limits;
-        let plain = self.folder.join("photographs.tar");
-        let upload = if unpack(upload, &plain, limits.max_gzip_bytes)? { &plain } else { upload };
         let Some(photographs) = PhotosWithoutPoses::open(upload, &limits)? else { return Ok(()) };
         let mut progress = |progress| self.pose_job.set_progress(progress);
         let is_cancelled = || self.pose_job.cancelled.is_cancelled() || self.stop.is_cancelled();
@@ -122,24 +117,6 @@ impl PoseTask {
         tracing::info!(placed, photographs = found.photographs, "found poses");
         Ok(())
     }
-}
-
-/// Decompresses a gzipped archive to `plain`, because it would otherwise stay in memory while COLMAP runs. `false` for other
-/// archives.
-fn unpack(upload: &Path, plain: &Path, limit: u64) -> Result<bool, PoseError> {
-    let work = || {
-        let mut magic = Vec::new();
-        File::open(upload)?.take(2).read_to_end(&mut magic)?;
-        if magic != [0x1f, 0x8b] {
-            return Ok(false);
-        }
-        plain.parent().map_or(Ok(()), std::fs::create_dir_all)?;
-        let unpacked = MultiGzDecoder::new(BufReader::new(File::open(upload)?));
-        // The size was checked before.
-        std::io::copy(&mut unpacked.take(limit), &mut File::create(plain)?)?;
-        Ok(true)
-    };
-    work().map_err(|source| PoseError::Io { file: plain.to_owned(), source })
 }
 
 /// The problem that the sender of the photographs receives.

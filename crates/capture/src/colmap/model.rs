@@ -7,6 +7,7 @@ use glam::{DQuat, DVec3};
 use crate::CaptureError;
 use crate::formats::ply_points::Point;
 use crate::lens::Lens;
+use crate::text::fault_of_name;
 use relume_scene::srgb;
 
 /// A sparse model as stored: world-to-camera poses, OpenCV axes, COLMAP's own world.
@@ -41,6 +42,9 @@ pub(super) fn posed(
     q: [f64; 4],
     t: [f64; 3],
 ) -> Result<PosedImage, CaptureError> {
+    if let Some(fault) = fault_of_name(&name) {
+        return Err(CaptureError::at_field(file, format!("images[{name}].name"), fault));
+    }
     let rotation = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
     let length = rotation.length();
     if !(length.is_finite() && length > 1e-6) {
