@@ -10,12 +10,15 @@ use crate::store::{Store, inspect_with};
 use relume_capture::formats::{CONVERTER_PACKAGE, installed_converter};
 use relume_engine::{AdapterReport, Device, DeviceChoice, adapters, choose_adapter};
 
+/// The data directory of `relume serve` without an option.
+const DEFAULT_DATA_DIR: &str = "relume-data";
+
 /// Options of `relume doctor`.
 #[derive(Debug, clap::Args)]
 pub(super) struct DoctorArgs {
-    /// The data directory to check.
-    #[arg(long, env = "RELUME_DATA_DIR", default_value = "relume-data")]
-    data_dir: PathBuf,
+    /// The data directory to check. A directory that is named must exist. Default: `relume-data`, which may not exist yet.
+    #[arg(long, env = "RELUME_DATA_DIR")]
+    data_dir: Option<PathBuf>,
     #[command(flatten)]
     artifacts: ArtifactsArgs,
     #[command(flatten)]
@@ -39,8 +42,14 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
         println!("database      {}", database_version()?);
     }
     println!("heic          {}", heic_converter());
-    println!("data dir      {}", data_dir(&args.data_dir)?);
-    let faults = check_stored_data(args)?;
+    let path = args.data_dir.as_deref().unwrap_or(Path::new(DEFAULT_DATA_DIR));
+    if args.data_dir.is_some() && !path.is_dir() {
+        println!("data dir      {} does not exist", path.display());
+        let reason = "is not an existing folder; name the data directory of a server, or start `relume serve`, which creates it";
+        return Err(format!("--data-dir {}: {reason}", path.display()).into());
+    }
+    println!("data dir      {}", data_dir(path)?);
+    let faults = check_stored_data(args, path)?;
     let chosen = choose_adapter(&adapters, args.device)?;
     println!("device        {}", explain_choice(args.device, chosen, &adapters));
     if let Some(index) = chosen {
@@ -50,15 +59,15 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
     }
     if faults > 0 {
         return Err(
-            format!("{}: {faults} faults found; they are listed above", args.data_dir.display()).into()
+            format!("{}: {faults} faults found; they are listed above", path.display()).into()
         );
     }
     Ok(())
 }
 
 /// Prints a summary of the stored data and their faults. Returns the number of faults.
-fn check_stored_data(args: &DoctorArgs) -> CommandResult<usize> {
-    let (path, url, place) = (&args.data_dir, args.database.database_url.as_ref(), args.artifacts.place());
+fn check_stored_data(args: &DoctorArgs, path: &Path) -> CommandResult<usize> {
+    let (url, place) = (args.database.database_url.as_ref(), args.artifacts.place());
     if url.is_none() && !path.exists() {
         return Ok(0);
     }

@@ -6,6 +6,7 @@ mod backup;
 mod bench;
 mod calibrate;
 mod capture;
+mod closed_pipe;
 mod database;
 pub mod demo;
 mod doctor;
@@ -109,7 +110,7 @@ impl Command {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let traces = logs::start(cli.json_logs, cli.command.is_service());
-    let code = run(cli.command);
+    let code = closed_pipe::guard(|| run(cli.command));
     traces.finish();
     code
 }
@@ -144,6 +145,7 @@ fn run(command: Command) -> ExitCode {
 fn exit(outcome: CommandResult<ExitCode>) -> ExitCode {
     match outcome {
         Ok(code) => code,
+        Err(error) if closed_pipe::is_cause(&*error) => ExitCode::from(error::CLOSED_PIPE),
         Err(error) => {
             eprintln!("relume: {error}");
             ExitCode::FAILURE

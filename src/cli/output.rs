@@ -3,6 +3,23 @@
 use std::io::Write;
 use std::path::Path;
 
+/// Checks, without creating anything, that a file can be written at `path` later.
+///
+/// # Errors
+/// Names the path, the reason and the remedy.
+pub(super) fn check_writable(option: &str, path: &Path) -> Result<(), String> {
+    let refused = |why: String| format!("{option} {}: {why}; name another path", path.display());
+    if path.is_dir() {
+        return Err(refused("is a folder, not a file".to_owned()));
+    }
+    let absolute = std::path::absolute(path).map_err(|error| refused(error.to_string()))?;
+    let folder = absolute.ancestors().skip(1).find(|folder| folder.symlink_metadata().is_ok());
+    let folder = folder.unwrap_or_else(|| Path::new("/"));
+    tempfile::tempfile_in(folder)
+        .map(drop)
+        .map_err(|error| refused(format!("{} cannot be written: {error}", folder.display())))
+}
+
 /// [`write_whole`] with an error that names the file.
 pub(super) fn write_named(path: &Path, bytes: &[u8]) -> Result<(), String> {
     write_whole(path, bytes).map_err(|error| format!("{}: {error}", path.display()))

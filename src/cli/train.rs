@@ -146,6 +146,10 @@ pub(super) fn run(args: &TrainArgs) -> CommandResult<ExitCode> {
 
 fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<ExitCode> {
     let overrides = all_overrides(args)?;
+    output::check_writable("--out", &args.out)?;
+    if let Some(file) = &args.checkpoint {
+        output::check_writable("--checkpoint", file)?;
+    }
     let recorded = args.plan.as_deref().map(recorded_plan).transpose()?;
     let config = match &recorded {
         Some(_) if !args.settings.0.is_empty() => {

@@ -63,7 +63,8 @@ async fn work(args: WorkerArgs) -> CommandResult<ExitCode> {
     if let Some(why) = validate_labels(&args.labels) {
         return Err(format!("--labels: {why}").into());
     }
-    let client = Client::new(&args.server, key(args.key_file.as_deref())?)?;
+    let client = Client::new(&args.server, key(args.key_file.as_deref())?)
+        .map_err(|error| format!("--server: {error}"))?;
     let cache = FileCache::open(&args.cache, args.cache_bytes)
         .map_err(|error| format!("--cache {}: {error}", args.cache.display()))?;
     let device = OpenedDevice::open(args.device)?;

@@ -22,7 +22,7 @@ impl Jobs {
             }
             deleted => deleted,
         };
-        self.announce();
+        self.announce_all();
         deleted
     }
 

@@ -37,8 +37,8 @@ impl Jobs {
     pub async fn claim_as(&self, claimant: &Claimant) -> Result<Option<Lease>, StoreError> {
         let (token, now) = (self.fresh_id::<String>(), self.now_ms());
         let job = self.store.claim_job(claimant, &token, now, self.lease_end(now)).await?;
-        if job.is_some() {
-            self.announce();
+        if let Some(job) = &job {
+            self.announce(&job.id);
         }
         Ok(job.map(|job| Lease { jobs: self.clone(), job, token }))
     }
@@ -100,7 +100,7 @@ impl Lease {
         let until = self.jobs.lease_end(now);
         let record = || self.jobs.store.record_progress(&self.job.id, &self.token, progress, now, until);
         let status = with_retries(record).await?;
-        self.jobs.announce();
+        self.jobs.announce(&self.job.id);
         Ok(status)
     }
 
@@ -112,7 +112,7 @@ impl Lease {
         let now = self.jobs.now_ms();
         let record = || self.jobs.store.record_warning(&self.job.id, &self.token, message, now);
         let status = with_retries(record).await?;
-        self.jobs.announce();
+        self.jobs.announce(&self.job.id);
         Ok(status)
     }
 
@@ -224,7 +224,7 @@ impl Lease {
         if let (LeaseStatus::Held, Some(key)) = (status, checkpoint) {
             self.jobs.store.artifacts().remove(&key).await;
         }
-        self.jobs.announce();
+        self.jobs.announce(&self.job.id);
     }
 
     /// Records a shortage if there was no disk space for `size` bytes. No job is then claimed until there is.
@@ -246,7 +246,7 @@ impl Lease {
     pub async fn release(&self, release: Release) -> Result<LeaseStatus, StoreError> {
         let now = self.jobs.now_ms();
         let status = self.jobs.store.release_job(&self.job.id, &self.token, release, now).await?;
-        self.jobs.announce();
+        self.jobs.announce(&self.job.id);
         Ok(status)
     }
 

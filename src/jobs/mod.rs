@@ -10,6 +10,7 @@
 //! [`Jobs`] has the operations of clients on jobs; [`Lease`] those of a worker on its job. The state is in the database. A change
 //! is also announced on a [`tokio::sync::watch`] channel, so that listeners know when to query the database.
 
+mod changes;
 mod clock;
 mod deletion;
 mod heartbeat;

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 
+use crate::jobs::changes::JobChanges;
 use crate::jobs::clock::{Clock, Ids};
 use crate::store::{
     CancelOutcome, EventRecord, Filter, IdempotencyKey, JobRecord, MAX_QUEUE_POSITION, Page, Store,
@@ -55,13 +56,13 @@ pub struct Jobs {
     clock: Arc<dyn Clock>,
     ids: Arc<dyn Ids>,
     pub(super) policy: LeasePolicy,
-    changes: Arc<watch::Sender<()>>,
+    changes: Arc<JobChanges>,
 }
 
 impl Jobs {
     /// A queue on `store`.
     pub fn new(store: Store, clock: Arc<dyn Clock>, ids: Arc<dyn Ids>, policy: LeasePolicy) -> Self {
-        Self { store, clock, ids, policy, changes: Arc::new(watch::Sender::new(())) }
+        Self { store, clock, ids, policy, changes: Arc::new(JobChanges::new()) }
     }
 
     /// The store.
@@ -95,6 +96,11 @@ impl Jobs {
         self.changes.subscribe()
     }
 
+    /// Notifies when one job may have changed; the change is in the store.
+    pub fn subscribe_to(&self, job: &JobId) -> watch::Receiver<()> {
+        self.changes.subscribe_to(job)
+    }
+
     /// Notifies subscribers of changes by other servers that share the database. Never returns. While the database cannot be
     /// reached, subscribers query it periodically.
     pub async fn listen_for_changes(&self) {
@@ -110,7 +116,7 @@ impl Jobs {
         let mut listener = self.store.listen().await?;
         loop {
             listener.wait_for_change().await?;
-            self.announce();
+            self.announce_all();
         }
     }
 
@@ -132,7 +138,7 @@ impl Jobs {
         let Origin { retry_of, traceparent } = origin;
         let job = JobRecord { retry_of, traceparent, ..job };
         let submitted = self.store.submit_job(&job, key, answer).await?;
-        self.announce();
+        self.announce(&job.id);
         Ok(submitted)
     }
 
@@ -199,7 +205,7 @@ impl Jobs {
         if let CancelOutcome::Accepted(job) = &outcome {
             self.drop_checkpoint(job).await;
         }
-        self.announce();
+        self.announce(id);
         Ok(outcome)
     }
 
@@ -253,9 +259,7 @@ impl Jobs {
         for job in &jobs {
             tracing::info!(job = %job.id, state = job.state.name(), "reclaimed a lease");
             self.drop_checkpoint(job).await;
-        }
-        if !jobs.is_empty() {
-            self.announce();
+            self.announce(&job.id);
         }
         Ok(jobs)
     }
@@ -271,7 +275,11 @@ impl Jobs {
         now_ms.saturating_add(i64::try_from(self.policy.duration.as_millis()).unwrap_or(i64::MAX))
     }
 
-    pub(super) fn announce(&self) {
-        self.changes.send_replace(());
+    pub(super) fn announce(&self, job: &JobId) {
+        self.changes.announce(job);
+    }
+
+    pub(super) fn announce_all(&self) {
+        self.changes.announce_all();
     }
 }

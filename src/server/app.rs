@@ -50,6 +50,9 @@ impl Default for RequestLimits {
     }
 }
 
+/// Size of a file in an archive that is accepted with any memory budget, bytes.
+const MIN_ENTRY_BYTES: u64 = 64 << 20;
+
 /// The state behind the routes.
 pub(super) struct App {
     pub(super) store: Store,
@@ -95,4 +98,12 @@ pub(super) struct App {
     pub(super) stop: CancellationToken,
     /// The description of the API.
     pub(super) description: OpenApi,
+}
+
+impl App {
+    /// Limits of new captures: no file of an archive, which is unpacked as a whole, takes more than half of the memory budget.
+    pub(super) fn limits_of_uploads(&self) -> ImportLimits {
+        let most = (self.limits.memory_bytes / 2).max(MIN_ENTRY_BYTES);
+        ImportLimits { max_entry_bytes: self.import_limits.max_entry_bytes.min(most), ..self.import_limits }
+    }
 }

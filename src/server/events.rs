@@ -24,7 +24,7 @@ use crate::store::{EventRecord, StoreError};
 use relume_api::{JobId, KeyId, TenantId};
 
 /// Time for which a listener waits for a notification before it queries the database.
-const POLL: Duration = Duration::from_secs(2);
+const POLL: Duration = Duration::from_secs(5);
 /// Interval of comments that keep idle connections open. Proxies close a connection that is idle for a minute or more.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// Makes proxies that know the header (nginx) pass each event on at once. axum adds `Cache-Control: no-cache`.
@@ -81,7 +81,7 @@ async fn job_events(
             Problem::invalid_field("header/Last-Event-ID", "must be a number from an earlier event")
         })?,
     };
-    let changes = app.jobs.subscribe();
+    let changes = app.jobs.subscribe_to(&id);
     let listener = JobEventStream {
         app,
         tenant: caller.tenant,

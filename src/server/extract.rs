@@ -15,6 +15,7 @@ use tower_http::timeout::TimeoutError;
 use crate::server::app::AppState;
 use crate::server::body_rate::BodyTooSlow;
 use crate::server::memory::MemoryPermit;
+use crate::server::nul;
 use crate::server::problem::Problem;
 
 /// A JSON body of at most `LIMIT` bytes.
@@ -140,6 +141,7 @@ pub(super) fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     if bytes.trim_ascii_start().first() == Some(&b'[') {
         return Err(Problem::invalid_field("", "must be an object"));
     }
+    nul::check_json(bytes, pointer)?;
     let mut json = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut json).map_err(wrong_field)?;
     json.end().map_err(|error| malformed(&error))?;

@@ -22,6 +22,9 @@ const RECORD: usize = 512;
 /// Maximum bytes read from a file at once.
 const CHUNK: usize = 1 << 18;
 
+/// Maximum bytes of the path of a file.
+const MAX_NAME_BYTES: usize = 1024;
+
 /// Why a form cannot be packed.
 #[derive(Debug, thiserror::Error)]
 enum FormError {
@@ -143,6 +146,9 @@ impl Spool {
         let path = field.file_name().unwrap_or_default().to_owned();
         if path.is_empty() {
             return Err(wrong("the file name is missing; it must be the path of the file in the capture"));
+        }
+        if path.len() > MAX_NAME_BYTES || path.contains(char::is_control) {
+            return Err(wrong("the file name is longer than 1024 bytes or has a control character; rename the file"));
         }
         tokio::fs::create_dir_all(&self.folder).await?;
         let mut file = tokio::fs::File::from_std(tempfile::tempfile_in(&self.folder)?);

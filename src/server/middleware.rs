@@ -23,7 +23,7 @@ use crate::server::origins::{self, CorsOrigin};
 use crate::server::problem::Problem;
 use crate::server::same_site::{self, TrustedHosts};
 use crate::server::tenant_slots::{self, TenantSlots};
-use crate::server::{body_rate, replica, telemetry, uploads};
+use crate::server::{body_rate, nul, replica, telemetry, uploads};
 
 /// The content security policy of the API, whose answers may load, run and frame nothing. Pages have their own policy.
 const NOT_A_PAGE: &str = "default-src 'none'; frame-ancestors 'none'";
@@ -106,6 +106,7 @@ pub(super) fn with_middleware(routes: Router<AppState>, config: MiddlewareConfig
             .layer(fixed(header::REFERRER_POLICY, "no-referrer"))
             .layer(unless_set(header::CONTENT_SECURITY_POLICY, NOT_A_PAGE))
             .layer(CatchPanicLayer::custom(telemetry::on_panic))
+            .layer(middleware::from_fn(nul::check_url))
             .option_layer(host)
             // Outside CORS, because that layer answers every OPTIONS itself.
             .layer(middleware::from_fn_with_state(config.most_uploaded, uploads::advertise))

@@ -42,6 +42,7 @@ mod metadata;
 mod middleware;
 mod models;
 mod negotiate;
+mod nul;
 mod opened_captures;
 mod origins;
 mod outbound;

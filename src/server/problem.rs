@@ -56,6 +56,17 @@ impl utoipa::ToSchema for Problem {
     }
 }
 
+/// Longest text of a problem, bytes. Texts can repeat what a file contains.
+const MAX_TEXT: usize = 16 << 10;
+
+/// A text that every database can store: of at most [`MAX_TEXT`] bytes, and without control characters except line breaks.
+fn storable(text: &str) -> String {
+    let end = text.floor_char_boundary(MAX_TEXT);
+    let is_bad = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+    let kept: String = text[..end].chars().map(|c| if is_bad(c) { '\u{fffd}' } else { c }).collect();
+    if end < text.len() { format!("{kept}... ({} more bytes)", text.len() - end) } else { kept }
+}
+
 impl Problem {
     /// A problem with a stable kind.
     pub fn new(status: StatusCode, kind: &str, title: &str) -> Self {
@@ -81,7 +92,7 @@ impl Problem {
     /// Sets the description of this occurrence.
     #[must_use]
     pub fn detail(mut self, detail: impl Into<String>) -> Self {
-        self.0.detail = Some(detail.into());
+        self.0.detail = Some(storable(&detail.into()));
         self
     }
 
@@ -117,7 +128,9 @@ impl Problem {
     pub fn invalid_content(content: ContentError, detail: impl Into<String>) -> Self {
         let status = StatusCode::UNPROCESSABLE_ENTITY;
         let mut problem = Self::new(status, "invalid-content", "The uploaded file is invalid");
-        problem.0.content = Some(content);
+        let ContentError { code, file, field } = content;
+        let [file, field] = [file, field].map(|text| text.as_deref().map(storable));
+        problem.0.content = Some(ContentError { code, file, field });
         problem.detail(detail)
     }
 

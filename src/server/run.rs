@@ -229,6 +229,11 @@ pub async fn run(
     if let Some(background_tasks) = background_tasks {
         background_tasks.end().await;
     }
+    if !config.replica
+        && let Err(error) = store.forget_interrupted_validations().await
+    {
+        tracing::warn!(%error, "the next start counts this stop as an end of the server during its validations");
+    }
     if let Err(error) = jobs.remove_workers(Some(name.as_str())).await {
         tracing::warn!(%error, "cannot remove the workers of this server from the registry; the next start removes them");
     }

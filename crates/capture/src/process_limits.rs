@@ -15,6 +15,7 @@ pub(crate) struct ProcessLimits {
     /// Whether the program runs at low CPU priority.
     pub low_priority: bool,
     /// A file with the id of the running program. If this process is killed, the next run kills the program it left.
+    /// Such a program has its own process group.
     pub marker: Option<PathBuf>,
 }
 
@@ -49,6 +50,17 @@ mod linux {
             Ok(())
         }
 
+        /// Kills the group of a program that [`Self::has_own_group`] and has not exited: the program and its children.
+        pub(crate) fn kill_group(&self, child: &mut Child) {
+            // The identifier of a program that has been waited for may belong to another process.
+            let runs = matches!(child.try_wait(), Ok(None));
+            if let (true, true, Some(pid)) =
+                (self.has_own_group(), runs, Pid::from_raw(child.id().cast_signed()))
+            {
+                let _ = rustix::process::kill_process_group(pid, Signal::KILL);
+            }
+        }
+
         /// Kills the program that an earlier process left running, if the process in the marker still has the
         /// marker's folder in its command line.
         pub(crate) fn kill_leftover(&self) {
@@ -60,6 +72,7 @@ mod linux {
                 String::from_utf8_lossy(&command).contains(folder).then(|| Pid::from_raw(pid)).flatten()
             };
             if let Some(pid) = named() {
+                let _ = rustix::process::kill_process_group(pid, Signal::KILL);
                 let _ = rustix::process::kill_process(pid, Signal::KILL);
                 while rustix::process::test_kill_process(pid).is_ok() && named() == Some(pid) {
                     std::thread::sleep(std::time::Duration::from_millis(20));
@@ -78,11 +91,20 @@ impl ProcessLimits {
         Ok(())
     }
 
+    /// Kills the group of a program: unsupported on this system.
+    pub(crate) fn kill_group(&self, _: &mut Child) {}
+
     /// Kills the program that an earlier process left: unsupported on this system.
     pub(crate) fn kill_leftover(&self) {}
 }
 
 impl ProcessLimits {
+    /// Whether the program gets a process group of its own, so that its children can be killed with it. Without a marker, on the
+    /// command line, the program stays in the group of this process, so that an interrupt at the terminal reaches it.
+    pub(crate) fn has_own_group(&self) -> bool {
+        self.marker.is_some()
+    }
+
     /// Removes the marker of a program that has exited.
     pub(crate) fn forget(&self) {
         if let Some(marker) = &self.marker {

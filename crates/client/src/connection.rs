@@ -20,9 +20,13 @@ impl Client {
     /// A client of the server at `base`, e.g. `http://127.0.0.1:7878`.
     ///
     /// # Errors
-    /// If `base` is not a URL.
+    /// If `base` is not a URL, or not one of HTTP.
     pub fn new(base: &str, key: Option<String>) -> Result<Self> {
-        let base = Url::parse(base).map_err(|e| ClientError::Address(e.to_string()))?;
+        let wrong = |why: &str| ClientError::Address(format!("{base:?}: {why}"));
+        let base = Url::parse(base).map_err(|e| wrong(&e.to_string()))?;
+        if !matches!(base.scheme(), "http" | "https") {
+            return Err(wrong("must begin with http:// or https://"));
+        }
         // TLS provider for `https://`. A provider that the process has already installed is also suitable.
         tokio_rustls::rustls::crypto::ring::default_provider().install_default().ok();
         let http = reqwest::Client::builder().redirect(Policy::custom(follow));

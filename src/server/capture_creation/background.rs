@@ -10,11 +10,26 @@ use crate::server::problem::Problem;
 use crate::server::uploads;
 use crate::store::{StagedUpload, StoreError};
 use relume_api::metadata::ResourceMetadata;
-use relume_api::problem::TYPE_PREFIX;
+use relume_api::problem::{ContentError, TYPE_PREFIX};
 use relume_api::{CaptureId, TenantId};
 
 /// Pause before a creation is tried again while the object store cannot be reached.
 const RETRY_INTERVAL: Duration = Duration::from_secs(2);
+
+/// Number of servers that may end in succession during the validation of a capture. The capture is probably the cause.
+const MAX_INTERRUPTIONS: i64 = 5;
+
+/// The problem of a capture whose validation ended several servers.
+fn interrupted() -> Problem {
+    let content = ContentError { code: "validation_interrupted".to_owned(), file: None, field: None };
+    Problem::invalid_content(
+        content,
+        format!(
+            "{MAX_INTERRUPTIONS} servers ended in succession while they validated this capture, e.g. because the memory did not suffice; \
+             send smaller or fewer photographs, or give the server more memory and send the capture again"
+        ),
+    )
+}
 
 /// Continues the creations of a terminated server.
 pub(in crate::server) async fn resume(app: AppState) -> Result<(), StoreError> {
@@ -23,9 +38,14 @@ pub(in crate::server) async fn resume(app: AppState) -> Result<(), StoreError> {
         else {
             continue;
         };
+        let creation = Creation { app: app.clone(), tenant: upload.tenant.clone(), capture };
+        if app.store.count_interrupted_validation(&upload.id).await? >= MAX_INTERRUPTIONS {
+            creation.record(Outcome::Invalid(Box::new(interrupted()))).await;
+            continue;
+        }
         let name: String = app.jobs.fresh_id();
         let incoming = app.store.finalise_upload(lock, &upload, &name).await?;
-        Creation { app: app.clone(), tenant: upload.tenant, capture }.start(incoming, None);
+        creation.start(incoming, None);
     }
     Ok(())
 }

@@ -18,7 +18,7 @@ pub(in crate::server) async fn validate(
     incoming: &StagedUpload,
 ) -> Result<CaptureReport, Problem> {
     let path = incoming.path.clone();
-    let options = ImportOptions { limits: app.import_limits, ..ImportOptions::default() };
+    let options = ImportOptions { limits: app.limits_of_uploads(), ..ImportOptions::default() };
     let inspect = move || relume_capture::inspect(&path, &options);
     let error = match app.validators.run(tenant, inspect).await? {
         Ok(report) => return Ok(report),

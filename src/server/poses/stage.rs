@@ -48,7 +48,7 @@ async fn are_photographs(
     tenant: &TenantId,
     incoming: &StagedUpload,
 ) -> Result<bool, Problem> {
-    let (path, limits) = (incoming.path.clone(), app.import_limits);
+    let (path, limits) = (incoming.path.clone(), app.limits_of_uploads());
     // An upload that cannot be opened is refused by the validation, which gives the reason.
     let open = move || matches!(PhotosWithoutPoses::open(&path, &limits), Ok(Some(_)));
     app.decoders.run(tenant, open).await
@@ -107,7 +107,7 @@ impl PoseTask {
     fn run(self, upload: &Path) -> Result<(), PoseError> {
         let _colmap_permit = &self.colmap_permit;
         let policy = &self.app.poses.policy;
-        let limits: ImportLimits = self.app.import_limits;
+        let limits: ImportLimits = self.app.limits_of_uploads();
         let Some(photographs) = PhotosWithoutPoses::open(upload, &limits)? else { return Ok(()) };
         let mut progress = |progress| self.pose_job.set_progress(progress);
         let is_cancelled = || self.pose_job.cancelled.is_cancelled() || self.stop.is_cancelled();

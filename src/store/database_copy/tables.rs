@@ -59,7 +59,7 @@ pub(super) const TABLES: &[TableSpec] = &[
     table!("idempotency" by "tenant, key": Text tenant key fingerprint response, Int created_ms),
     table!("uploads" by "id":
         Text id tenant metadata capture_id sha256 name external_id, Json problem labels,
-        Int length received created_ms expires_ms),
+        Int length received created_ms expires_ms interrupted_validations),
     table!("webhooks" by "id":
         Text id tenant url name made_by switched_off_because, Json events, Bytes secret former_secret, Bool enabled,
         Int former_until_ms created_ms failing_since_ms switched_off_ms),

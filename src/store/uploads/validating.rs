@@ -7,7 +7,7 @@ use sqlx::types::Json;
 use crate::store::uploads::record::UploadRecord;
 use crate::store::{StagedUpload, Store, StoreError, sql};
 use relume_api::metadata::ResourceMetadata;
-use relume_api::{CaptureId, Problem, TenantId};
+use relume_api::{CaptureId, Problem, TenantId, UploadId};
 
 impl Store {
     /// Stores a complete body as the resumable upload `upload`, of which a capture is to be made. From then on its bytes are
@@ -124,6 +124,31 @@ impl Store {
         let query = "SELECT * FROM uploads WHERE capture_id IS NOT NULL AND problem IS NULL
                      ORDER BY created_ms, id";
         Ok(sql::query_as(query).fetch_all(self.pool()).await?)
+    }
+
+    /// Counts that a server ended while it validated the capture of an upload. Returns the number of such ends in succession.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn count_interrupted_validation(&self, upload: &UploadId) -> Result<i64, StoreError> {
+        let mut tx = self.write().await?;
+        let query = "UPDATE uploads SET interrupted_validations = interrupted_validations + 1 WHERE id = $1
+                     RETURNING interrupted_validations";
+        let count: Option<i64> = sql::query_scalar(query).bind(upload).fetch_optional(&mut tx).await?;
+        tx.commit().await?;
+        Ok(count.unwrap_or(0))
+    }
+
+    /// Forgets the counts of [`Self::count_interrupted_validation`]: the server is stopped and did not fail.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn forget_interrupted_validations(&self) -> Result<(), StoreError> {
+        let mut tx = self.write().await?;
+        sql::query("UPDATE uploads SET interrupted_validations = 0 WHERE interrupted_validations > 0")
+            .execute(&mut tx)
+            .await?;
+        Ok(tx.commit().await?)
     }
 
     /// The captures of all tenants that are being made, or could not be made.

@@ -2,7 +2,7 @@
 
 use std::ffi::OsStr;
 use std::fs::{File, OpenOptions};
-use std::io::{ErrorKind, Read};
+use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -51,6 +51,10 @@ impl ExternalProgram<'_> {
         let (for_out, for_errors) = (log.try_clone().map_err(io(self.log))?, log);
         let mut command = Command::new(self.name);
         command.args(arguments).stdin(Stdio::null()).stdout(for_out).stderr(for_errors);
+        #[cfg(unix)]
+        if self.process_limits.has_own_group() {
+            std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        }
         if let Some(folder) = self.folder {
             command.current_dir(folder);
         }
@@ -67,6 +71,7 @@ impl ExternalProgram<'_> {
         let status = loop {
             let status = running.child.try_wait().map_err(io(Path::new(self.name)))?;
             output.read(&mut |text| line(text, run_control)).map_err(io(self.log))?;
+            output.limit(self.log).map_err(io(self.log))?;
             if let Some(status) = status {
                 break status;
             }
@@ -106,12 +111,18 @@ struct RunningProcess<'a> {
 
 impl Drop for RunningProcess<'_> {
     fn drop(&mut self) {
-        // Both calls fail only if the program has already exited.
+        // All calls fail only if the program has already exited.
+        self.process_limits.kill_group(&mut self.child);
         let _ = self.child.kill();
         let _ = self.child.wait();
         self.process_limits.forget();
     }
 }
+
+/// Size beyond which the middle of a log is removed, bytes.
+const MAX_LOG_BYTES: u64 = 4 << 20;
+/// Bytes that then remain at its start and at its end.
+const KEPT_LOG_BYTES: u64 = 1 << 20;
 
 /// Reads the lines that are appended to a file.
 struct LogTail {
@@ -124,8 +135,27 @@ impl LogTail {
     /// Starts after the current end of the file.
     fn after_the_end(path: &Path) -> std::io::Result<Self> {
         let mut file = File::open(path)?;
-        std::io::Seek::seek(&mut file, std::io::SeekFrom::End(0))?;
+        file.seek(SeekFrom::End(0))?;
         Ok(Self { file, unfinished: Vec::new(), last_lines: Vec::new() })
+    }
+
+    /// Removes the middle of a log that is too long, after it was read. The program appends, so its next output follows the end;
+    /// output during the removal can be lost.
+    fn limit(&mut self, path: &Path) -> std::io::Result<()> {
+        let length = self.file.metadata()?.len();
+        if length <= MAX_LOG_BYTES {
+            return Ok(());
+        }
+        let mut file = OpenOptions::new().read(true).write(true).open(path)?;
+        let mut end = Vec::new();
+        file.seek(SeekFrom::Start(length - KEPT_LOG_BYTES))?;
+        (&mut file).take(KEPT_LOG_BYTES).read_to_end(&mut end)?;
+        let omitted = length - 2 * KEPT_LOG_BYTES;
+        file.set_len(KEPT_LOG_BYTES)?;
+        file.seek(SeekFrom::End(0))?;
+        write!(file, "\n... {omitted} bytes omitted by relume ...\n")?;
+        file.write_all(&end)?;
+        self.file.seek(SeekFrom::End(0)).map(drop)
     }
 
     /// Calls `line` for each line completed since the last call, and keeps the last few.
@@ -213,6 +243,55 @@ mod tests {
         assert!(!runs(pid), "{pid} is still running");
         assert!(matches!(run("exec sleep 300", LONG, true).0, Err(PoseError::Cancelled)));
         assert!(runs("$$"), "the control: a running process");
+    }
+
+    #[test]
+    fn a_long_log_keeps_its_first_and_last_part() {
+        let (ended, lines, log) = run("echo first; yes 0123456789abcdef | head -c 12000000; echo; echo last", LONG, false);
+        ended.unwrap();
+        assert!(log.len() as u64 <= MAX_LOG_BYTES, "{} bytes", log.len());
+        assert!(log.starts_with("earlier\nfirst\n0123") && log.ends_with("\nlast\n"), "{}", &log[log.len() - 40..]);
+        assert!(log.contains(" bytes omitted by relume ...\n"));
+        assert_eq!(lines.last().map(String::as_str), Some("last"), "the control: every line is reported");
+        let (_, _, short) = run("echo one", LONG, false);
+        assert_eq!(short, "earlier\none\n", "the control: a short log is kept whole");
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn the_children_of_a_cancelled_program_are_killed_too() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let log = folder.path().join("x.log");
+        for has_own_group in [true, false] {
+            let marker = has_own_group.then(|| folder.path().join("process"));
+            let program = ExternalProgram {
+                name: "sh".as_ref(),
+                install: "get it",
+                log: &log,
+                folder: None,
+                process_limits: ProcessLimits { marker, ..ProcessLimits::default() },
+            };
+            std::fs::write(&log, "").unwrap();
+            let child = || std::fs::read_to_string(&log).unwrap().lines().next().map(str::to_owned);
+            let is_cancelled = || child().is_some();
+            let mut ignored = |_| {};
+            let mut run_control = RunControl::new(LONG, &mut ignored, &is_cancelled);
+            let script = "sleep 300 & echo $!; wait";
+            let ended = program.run(&["-c".as_ref(), script.as_ref()], &mut run_control, &mut |_, _| {});
+            assert!(matches!(ended, Err(PoseError::Cancelled)), "{ended:?}");
+            let pid = child().unwrap();
+            let state = || std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+            // A killed process may be a zombie until its new parent waits for it.
+            let is_gone = || state().is_empty() || state().contains(") Z ");
+            let gone = (0..200).any(|_| {
+                std::thread::sleep(Duration::from_millis(10));
+                is_gone()
+            });
+            assert_eq!(gone, has_own_group, "the control: without a group the child of the program survives");
+            if !gone {
+                Command::new("kill").args(["-9", &pid]).status().unwrap();
+            }
+        }
     }
 
     #[test]

@@ -222,3 +222,77 @@ proptest! {
         prop_assert!(import_bytes(&bytes).is_err());
     }
 }
+
+/// A tar whose first header has this type and content, before a complete capture.
+fn with_extension(kind: tar::EntryType, content: &[u8]) -> Vec<u8> {
+    let mut builder = tar::Builder::new(Vec::new());
+    let mut header = tar::Header::new_gnu();
+    header.set_entry_type(kind);
+    header.set_path("extension").unwrap();
+    header.set_size(content.len() as u64);
+    header.set_cksum();
+    builder.append(&header, content).unwrap();
+    let mut bytes = builder.into_inner().unwrap();
+    bytes.truncate(bytes.len() - 1024);
+    [bytes, tar(&blender())].concat()
+}
+
+#[test]
+fn long_names_and_headers_are_refused_before_they_are_read() {
+    use tar::EntryType::{GNULongLink, GNULongName, XHeader};
+    for kind in [GNULongName, GNULongLink, XHeader] {
+        let error = refusal(&with_extension(kind, &vec![b'a'; 2 << 20]));
+        let said = error.to_string();
+        assert_eq!(error.code(), "capture_archive_unsafe", "{kind:?}: {said}");
+        assert!(said.contains("shorter names") && said.len() < 1000, "{kind:?}: {} bytes", said.len());
+    }
+    let renamed = import_bytes(&with_extension(GNULongName, b"notes.txt\0")).unwrap().warnings;
+    assert!(renamed.iter().any(|w| w.contains("r_0")), "the control: a short name is used: {renamed:?}");
+    let long = refusal(&zip(&with(&"x".repeat(5000))));
+    assert_eq!(long.code(), "capture_archive_unsafe");
+    assert!(long.to_string().len() < 1000, "{long}");
+    let names: Files = (0..400).map(|i| (format!("{i:03}{}", "y".repeat(700)), vec![1])).collect();
+    for bytes in [zip(&names), tar(&names)] {
+        assert_eq!(limited(&bytes, |l| l.max_header_bytes = 100_000).field(), Some("max_header_bytes"));
+        assert_eq!(refusal(&bytes).code(), "capture_layout_unknown", "the control");
+    }
+}
+
+#[test]
+fn pax_names_are_read_and_contradicting_sizes_are_refused() {
+    let record = |key: &str, value: &str| {
+        let rest = format!(" {key}={value}\n");
+        let length = (rest.len()..).find(|n| n.to_string().len() + rest.len() == *n).unwrap();
+        format!("{length}{rest}").into_bytes()
+    };
+    let pax = |key: &str, value: &str| with_extension(tar::EntryType::XHeader, &record(key, value));
+    let renamed = import_bytes(&pax("path", "elsewhere/notes.txt")).unwrap().warnings;
+    assert!(renamed.iter().any(|w| w.contains("r_0")), "the first photograph has another name: {renamed:?}");
+    let first = blender().into_values().next().unwrap().len().to_string();
+    import_bytes(&pax("size", &first)).unwrap();
+    assert_eq!(refusal(&pax("size", "7")).code(), "capture_archive_unsafe");
+    let escape = refusal(&pax("path", "../x.png"));
+    assert_eq!((escape.code(), escape.file()), ("capture_archive_unsafe", Some("../x.png")));
+}
+
+#[test]
+fn a_gzipped_tar_is_unpacked_without_a_name_on_disk() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("capture.tar.gz");
+    std::fs::write(&path, gzip(&tar(&blender()))).unwrap();
+    let open = relume_capture::CaptureFiles::open(&path, &ImportLimits::default()).unwrap();
+    assert_eq!(open.read("train/r_1.png").unwrap(), blender()["train/r_1.png"]);
+    let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(left, ["capture.tar.gz"]);
+}
+
+#[test]
+fn names_in_pose_files_have_no_control_characters() {
+    for name in ["images/a\0b.png", "images/a\nb.png", &"z".repeat(2000)] {
+        let error = import_folder(&nerfstudio(|set| set["frames"][2]["file_path"] = name.into())).unwrap_err();
+        assert_eq!(error.field(), Some("frames[2].file_path"), "{error}");
+        assert!(!error.to_string().contains('\0') && error.to_string().len() < 1000, "{error}");
+    }
+    let strange = import_folder(&nerfstudio(|set| set["w"] = "a\0b".into())).unwrap_err();
+    assert!(!strange.to_string().contains('\0'), "{strange}");
+}

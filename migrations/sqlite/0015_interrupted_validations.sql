@@ -1,0 +1,2 @@
+-- How many servers in succession ended during the validation of the upload's capture, without having been stopped.
+ALTER TABLE uploads ADD COLUMN interrupted_validations INTEGER NOT NULL DEFAULT 0;

@@ -1,0 +1,181 @@
+//! Refuses NUL characters in requests. PostgreSQL cannot store them, so a request that has one would fail there and succeed on
+//! SQLite.
+
+use axum::extract::Request;
+use axum::http::{StatusCode, Uri};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
+
+use crate::server::problem::Problem;
+use relume_api::problem::FieldError;
+
+const DETAIL: &str = "contains a NUL character, which is not allowed; leave it out";
+
+/// Refuses requests whose path or query string has a NUL, or whose path is not UTF-8.
+pub(super) async fn check_url(request: Request, next: Next) -> Response {
+    match fault_of_url(request.uri()) {
+        Some(problem) => problem.into_response(),
+        None => next.run(request).await,
+    }
+}
+
+fn fault_of_url(uri: &Uri) -> Option<Problem> {
+    let Some(path) = decoded(uri.path()) else {
+        let title = "The path of the URL cannot be read";
+        let detail = "path: is not UTF-8 after percent-decoding; correct it";
+        return Some(Problem::new(StatusCode::BAD_REQUEST, "malformed-path", title).detail(detail));
+    };
+    if path.contains('\0') {
+        return Some(refusal("path"));
+    }
+    let pairs = uri.query()?.split('&').map(|pair| pair.split_once('=').unwrap_or((pair, "")));
+    let has_nul = |text: &str| text.contains("%00") || text.contains('\0');
+    let (name, _) = pairs.into_iter().find(|(name, value)| has_nul(name) || has_nul(value))?;
+    let name = decoded(name).unwrap_or_default().replace('\0', "\u{fffd}");
+    Some(refusal(&format!("query/{name}")))
+}
+
+/// A percent-decoded text; `None` if it is not UTF-8.
+fn decoded(text: &str) -> Option<String> {
+    let mut bytes = Vec::with_capacity(text.len());
+    let mut rest = text.as_bytes();
+    while let Some((&first, after)) = rest.split_first() {
+        let digit = |at: usize| after.get(at).and_then(|c| char::from(*c).to_digit(16));
+        match (first, digit(0), digit(1)) {
+            (b'%', Some(high), Some(low)) => {
+                bytes.push((high * 16 + low) as u8);
+                rest = &after[2..];
+            }
+            _ => {
+                bytes.push(first);
+                rest = after;
+            }
+        }
+    }
+    String::from_utf8(bytes).ok()
+}
+
+/// 400, which names the field.
+pub(super) fn refusal(pointer: &str) -> Problem {
+    let title = "A value contains a NUL character";
+    let mut problem = Problem::new(StatusCode::BAD_REQUEST, "nul-character", title)
+        .detail(format!("{pointer}: {DETAIL}"));
+    problem.errors.push(FieldError { pointer: pointer.to_owned(), detail: DETAIL.to_owned() });
+    problem
+}
+
+/// Refuses a JSON document with a NUL in a text or key. `pointer` makes a JSON pointer of the place. A document that is not JSON
+/// passes; its parser refuses it.
+pub(super) fn check_json(
+    bytes: &[u8],
+    pointer: impl FnOnce(&serde_path_to_error::Path) -> String,
+) -> Result<(), Problem> {
+    // JSON has a NUL only as this escape.
+    const ESCAPE: &[u8] = b"\\u0000";
+    if !bytes.windows(ESCAPE.len()).any(|window| window == ESCAPE) {
+        return Ok(());
+    }
+    let mut json = serde_json::Deserializer::from_slice(bytes);
+    let mut track = serde_path_to_error::Track::new();
+    let checked = NoNul.deserialize(serde_path_to_error::Deserializer::new(&mut json, &mut track));
+    match checked {
+        Err(error) if error.to_string().starts_with(DETAIL) => Err(refusal(&pointer(&track.path()))),
+        _ => Ok(()),
+    }
+}
+
+/// Visits every text of a document and fails at the first with a NUL.
+struct NoNul;
+
+impl<'de> DeserializeSeed<'de> for NoNul {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for NoNul {
+    type Value = ();
+
+    fn expecting(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str("any value")
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<(), E> {
+        if text.contains('\0') { Err(E::custom(DETAIL)) } else { Ok(()) }
+    }
+
+    fn visit_bool<E: Error>(self, _: bool) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_i64<E: Error>(self, _: i64) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_u64<E: Error>(self, _: u64) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_f64<E: Error>(self, _: f64) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<(), A::Error> {
+        while items.next_element_seed(NoNul)?.is_some() {}
+        Ok(())
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut fields: A) -> Result<(), A::Error> {
+        while let Some(name) = fields.next_key::<String>()? {
+            if name.contains('\0') {
+                return Err(A::Error::custom(DETAIL));
+            }
+            fields.next_value_seed(NoNul)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The field that is refused.
+    fn refused_in(uri: &str) -> Option<(String, Option<String>)> {
+        let problem = fault_of_url(&uri.parse().unwrap())?;
+        assert_eq!(problem.status, 400);
+        let kind = problem.kind.rsplit(':').next().unwrap().to_owned();
+        Some((kind, problem.errors.first().map(|error| error.pointer.clone())))
+    }
+
+    #[test]
+    fn a_nul_in_a_url_is_refused_by_its_field() {
+        let nul = |field: &str| Some(("nul-character".to_owned(), Some(field.to_owned())));
+        assert_eq!(refused_in("/v1/jobs/a%00b"), nul("path"));
+        assert_eq!(refused_in("/v1/jobs?limit=2&label=a%00"), nul("query/label"));
+        assert_eq!(refused_in("/v1/jobs/%ED%A0%80"), Some(("malformed-path".to_owned(), None)));
+        for sound in ["/v1/jobs/a%01b", "/v1/jobs?label=%2500", "/v1/captures/x/photographs/gr%C3%B6%C3%9Fe.png"] {
+            assert_eq!(refused_in(sound), None, "the control: {sound}");
+        }
+    }
+
+    #[test]
+    fn a_nul_in_json_is_refused_by_its_field() {
+        let place = |json: &str| {
+            let checked = check_json(json.as_bytes(), |path| path.to_string());
+            checked.err().map(|problem| problem.errors[0].pointer.clone())
+        };
+        assert_eq!(place(r#"{"a": [1, {"b": "x\u0000"}]}"#).as_deref(), Some("a[1].b"));
+        assert!(place(r#"{"a\u0000": null}"#).is_some());
+        for sound in [r#"{"a": "\\u0000"}"#, r#"{"a": "\u0001", "b": [true, 1.5, -2, null]}"#, "{\"\\u0000"] {
+            assert_eq!(place(sound), None, "the control: {sound}");
+        }
+    }
+}
