@@ -158,3 +158,29 @@ async fn a_database_with_a_newer_schema_is_refused() {
     let (sound, said) = doctor(data.path());
     assert!(!sound && said.contains("newer version of relume (schema 9999"), "{said}");
 }
+
+#[test]
+fn doctor_refuses_a_data_directory_that_does_not_exist() {
+    let folder = TempDir::new().unwrap();
+    let missing = folder.path().join("missing");
+    let output = relume(&["doctor", "--device", "cpu"], &missing);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("--data-dir") && said.contains("missing: is not an existing folder"), "{said}");
+    assert!(!missing.exists());
+    assert!(doctor(folder.path()).0, "the control: an empty folder");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_on_a_damaged_database_is_not_ready() {
+    let data = used().await;
+    let server = testing::spawn_with(data, |config| config.database = None).await.unwrap();
+    let ready = async || {
+        let request = server.client().request(reqwest::Method::GET, "/readyz").unwrap();
+        request.send().await.unwrap().status().as_u16()
+    };
+    assert_eq!(ready().await, 200, "the control: a sound database");
+    let pool = sqlx::SqlitePool::connect(&format!("sqlite:{}", server.data_dir().join("relume.db").display()));
+    sqlx::query("ALTER TABLE jobs RENAME TO elsewhere").execute(&pool.await.unwrap()).await.unwrap();
+    assert_eq!(ready().await, 503);
+}

@@ -4,9 +4,12 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 mod architecture;
+#[cfg(target_os = "linux")]
+mod archive_memory;
 mod backup;
 mod calibrate;
 mod capture_check;
+mod closed_pipes;
 mod crash;
 mod deletion;
 mod doctor;
@@ -22,6 +25,7 @@ mod hostile;
 mod job_machine;
 mod kills;
 mod metadata;
+mod nul_characters;
 mod on_postgres;
 mod poses;
 mod promises;

@@ -198,3 +198,24 @@ fn serve_refuses_open_network_access_and_weak_keys() {
     fails_with(folder.path(), &[&serve[..], &["--keep-jobs", "never"]].concat(), "--keep-jobs");
     assert!(!folder.path().join("relume-data").join("relume.db").exists());
 }
+
+#[test]
+fn train_checks_before_it_trains_that_its_files_can_be_written() {
+    let folder = TempDir::new().unwrap();
+    std::fs::write(folder.path().join("file"), "x").unwrap();
+    // No capture exists, so a check after the import would name the capture.
+    for (option, path) in [("--out", "file/model.safetensors"), ("--checkpoint", "file/x"), ("--out", ".")] {
+        fails_with(folder.path(), &["train", "none", option, path], option);
+    }
+    fails_with(folder.path(), &["train", "none", "--out", "new/folder/model.safetensors"], "none");
+    let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(left, ["file"], "the check creates nothing");
+}
+
+#[test]
+fn worker_refuses_a_server_address_that_is_not_http() {
+    let folder = TempDir::new().unwrap();
+    for address in ["file:///", "ftp://example.org", "localhost:7878"] {
+        fails_with(folder.path(), &["worker", "--server", address, "--device", "cpu"], "http://");
+    }
+}

@@ -20,7 +20,7 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
 use crate::server_process::Server;
-use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job};
+use crate::service_support::{CaptureZip, capture_zip, ended, files_under, raw_pool, small_job};
 
 /// A capture whose photographs take a while to decode.
 fn slow_zip() -> Vec<u8> {
@@ -232,4 +232,33 @@ async fn an_asynchronous_capture_of_an_upload_keeps_its_metadata() {
     let begun = accepted(post_called(client, "?name=broken", b"no archive".to_vec()).await).await;
     let found = validated(client, &begun).await;
     assert_eq!((found.state, found.metadata.name.as_deref()), (CaptureState::Invalid, Some("broken")));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_capture_that_ends_five_servers_becomes_invalid() {
+    let server = testing::spawn().await.unwrap();
+    let id = accepted(post_later(server.client(), CaptureZip::new(1, 32).zip()).await).await.id;
+    let mut data = server.data_dir().to_owned();
+    let mut server = Some(server);
+    let mut codes = Vec::new();
+    // The number of servers that have ended before, and the code of the problem after the next start. A server that was stopped
+    // does not count.
+    for ended_before in [None, Some(3), Some(4), None] {
+        let running = server.take().unwrap();
+        while running.client().capture(&id).await.unwrap().state == CaptureState::Validating {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        let problem = running.client().capture(&id).await.unwrap().problem.unwrap();
+        codes.push(problem.content.unwrap().code);
+        let kept = running.stop().await.unwrap();
+        data = kept.path().to_owned();
+        let pool = raw_pool(&data).await;
+        let count = ended_before.map_or("interrupted_validations".to_owned(), |count: i64| count.to_string());
+        let begun = format!("UPDATE uploads SET problem = NULL, interrupted_validations = {count}");
+        sqlx::query(sqlx::AssertSqlSafe(begun)).execute(&pool).await.unwrap();
+        pool.close().await;
+        server = Some(testing::spawn_with(kept, |_| {}).await.unwrap());
+    }
+    let few = "capture_too_few_images";
+    assert_eq!(codes, [few, few, few, "validation_interrupted"], "{}", data.display());
 }

@@ -9,6 +9,7 @@ use crate::check::{Finding, FindingKind, ImageChecks};
 use crate::formats::ply_points::Point;
 use crate::layout::{self, FoundLayout};
 use crate::photos::{self, LoadedView, PhotoEntry, Split};
+use crate::text::printable;
 use crate::{
     Capture, CaptureError, CaptureFiles, CaptureView, ImportOptions, PhotoCamera, Up, WorldUp, blender,
     bounds, cameras, colmap, identical, images, llff, masks, nerfstudio, polycam, rig, selection, truth,
@@ -181,7 +182,7 @@ pub fn inspect(path: &Path, options: &ImportOptions) -> Result<CaptureReport, Ca
     let mut report = capture.report();
     let noted = |finding: Finding| PhotographNote {
         kind: if finding.kind == FindingKind::Note { NoteKind::Fact } else { NoteKind::Hint },
-        text: finding.text,
+        text: printable(&finding.text),
         photographs: finding.photos,
     };
     report.notes.extend(image_checks.findings().into_iter().map(noted));
@@ -303,14 +304,14 @@ impl Capture {
             points: self.points.len(),
             has_alpha: self.has_alpha,
             has_ground_truth: self.test.iter().any(|v| v.truth != Default::default()),
-            lights: self.lights.keys().cloned().collect(),
+            lights: self.lights.keys().map(|name| printable(name)).collect(),
             centre: self.bounds.centre.to_array(),
             radius: self.bounds.radius,
-            warnings: self.warnings.clone(),
+            warnings: self.warnings.iter().map(|warning| printable(warning)).collect(),
             notes: self
                 .facts()
                 .map(|text| PhotographNote {
-                    text: text.clone(),
+                    text: printable(text),
                     kind: NoteKind::Fact,
                     photographs: Vec::new(),
                 })

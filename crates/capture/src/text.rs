@@ -35,11 +35,16 @@ pub(crate) fn fault_of_name(name: &str) -> Option<&'static str> {
 /// place of control characters.
 pub(crate) fn shown(text: &str) -> String {
     let end = text.floor_char_boundary(SHOWN_BYTES);
-    let start: String = text[..end].chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
+    let start = printable(&text[..end]);
     match text.len() - end {
         0 => start,
         more => format!("{start}... ({more} more bytes)"),
     }
+}
+
+/// A text with U+FFFD in place of control characters, which a database may refuse and a terminal may obey.
+pub(crate) fn printable(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
 }
 
 #[cfg(test)]
