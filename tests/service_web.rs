@@ -140,3 +140,16 @@ async fn unknown_web_paths_answer_with_a_problem() {
     let posted = server.client().request(Method::POST, "/").unwrap().send().await.unwrap();
     assert_eq!(posted.status(), StatusCode::METHOD_NOT_ALLOWED);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_browser_is_sent_from_an_unknown_path_to_the_web_app_and_other_clients_get_404() {
+    let server = testing::spawn().await.unwrap();
+    let browser = "text/html,application/xhtml+xml,*/*;q=0.8";
+    let shown = request(&server, "/models/none").header(header::ACCEPT, browser).send().await.unwrap();
+    assert_eq!(shown.status(), StatusCode::OK);
+    assert_eq!(shown.url().path(), "/");
+    assert_eq!(shown.url().fragment(), Some("/models/none"));
+    assert_eq!(get(&server, "/models/none").await.status(), StatusCode::NOT_FOUND);
+    let api = request(&server, "/v1/none").header(header::ACCEPT, browser).send().await.unwrap();
+    assert_eq!(api.status(), StatusCode::NOT_FOUND);
+}

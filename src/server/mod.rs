@@ -57,6 +57,7 @@ mod replica;
 mod router;
 mod run;
 mod same_site;
+mod sample_capture;
 mod signed_urls;
 mod signing;
 mod signing_secret;
