@@ -1,0 +1,78 @@
+// What the app says when something goes wrong, in its own words, and how the user goes on.
+import assert from 'node:assert/strict'
+
+const alert = (page, text) => page.getByRole('alert').filter({ hasText: text }).first()
+
+/** While the dialog asks for a key, the page sends no requests that need one. `open` opens a new page. */
+export async function keyIsNotPolled(open, base) {
+  const page = await open({})
+  await page.clock.install()
+  const refused = []
+  page.on('response', (answer) => answer.status() === 401 && refused.push(answer.url()))
+  await page.goto(base)
+  await page.getByRole('dialog').waitFor()
+  await page.waitForTimeout(300)
+  const before = refused.length
+  for (let i = 0; i < 4; i++) {
+    await page.clock.fastForward(6000)
+    await page.waitForTimeout(100)
+  }
+  assert.equal(refused.length, before, 'the dialog is open, and nothing polls behind it')
+  await page.context().close()
+}
+
+/** Files that are no capture. */
+export async function wrongFiles(page) {
+  const input = page.getByLabel('Files of a capture')
+  await input.setInputFiles({ name: 'letter.pdf', mimeType: 'application/pdf', buffer: Buffer.from('%PDF') })
+  await alert(page, 'letter.pdf is no photograph and no zip').waitFor()
+  await input.setInputFiles({ name: 'clip.mov', mimeType: 'video/quicktime', buffer: Buffer.from('moov') })
+  await alert(page, 'clip.mov is a video').waitFor()
+  await input.setInputFiles({ name: 'broken.zip', mimeType: 'application/zip', buffer: Buffer.from('PK no zip at all') })
+  await alert(page, 'The file is damaged, or it is not a zip or tar.').waitFor()
+  await page.getByRole('link', { name: 'Send other files' }).click()
+  await input.waitFor({ state: 'attached' })
+}
+
+/** A server that does not answer, and then does. */
+export async function lostServer(page, go) {
+  await page.route('**/v1/models?*', (route) => route.abort('connectionrefused'))
+  await go('/models')
+  await alert(page, 'The server does not answer.').waitFor()
+  await page.unroute('**/v1/models?*')
+  await alert(page, 'The server does not answer.').getByRole('button', { name: 'Try again' }).click()
+  await page.getByRole('listitem').first().waitFor()
+  await alert(page, 'The server does not answer.').waitFor({ state: 'detached' })
+}
+
+/** Paths that do not exist, in the address bar and in the app. */
+export async function unknownPaths(page, base, audit) {
+  await page.goto(`${base}/models/none`)
+  await page.getByRole('heading', { level: 1, name: 'No such model' }).waitFor()
+  await audit(page, 'no-such-model')
+  await page.getByRole('link', { name: 'Show all models' }).waitFor()
+  for (const [path, heading] of [['jobs/none', 'No such training'], ['captures/none', 'No such capture'], ['nothing/here', 'There is no such page'], ['models/%E0', 'No such model']]) {
+    await page.evaluate((to) => (location.hash = to), `/${path}`)
+    await page.getByRole('heading', { level: 1, name: heading }).waitFor()
+  }
+}
+
+/** A refused training: the settings that were sent, and the refusal on the page. */
+export async function refusedTraining(page) {
+  let sent
+  await page.route('**/v1/jobs', (route) => {
+    if (route.request().method() !== 'POST') return route.continue()
+    sent = route.request().postDataJSON()
+    const problem = { type: 'urn:relume:problem:busy', title: 'Busy', status: 503, detail: 'too many requests', request_id: 'r' }
+    return route.fulfill({ status: 503, contentType: 'application/problem+json', body: JSON.stringify(problem) })
+  })
+  await page.getByRole('radio', { name: '10 minutes' }).check()
+  await page.getByText('It takes 10 minutes.').waitFor()
+  await page.getByLabel('Light of the photographs').selectOption('daylight')
+  assert.ok(await page.getByLabel('What becomes the model').isDisabled(), 'the sample has masks')
+  await page.getByRole('button', { name: 'Start training' }).click()
+  await alert(page, 'The server is busy.').waitFor()
+  assert.deepEqual(sent.overrides, { time_budget_s: 600, white_balance: 'daylight' })
+  assert.equal(sent.preset, undefined)
+  await page.unroute('**/v1/jobs')
+}
