@@ -1,1 +1,1 @@
-export{t as RelumeViewer}from"./assets/element-Bv0f4iRO.js";
+export{t as RelumeViewer}from"./assets/element-Cn32943D.js";

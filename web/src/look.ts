@@ -52,6 +52,12 @@ export function readView(query: URLSearchParams): ViewAttributes {
   return { ...Object.fromEntries(given.map((name) => [name, Number(query.get(name))])), ...(target ? { target } : {}) }
 }
 
+/** A point with a thousandth of the distance of the camera as its precision. */
+function rounded(point: number[], { distance }: View): number[] {
+  const digits = Math.min(20, Math.max(0, 3 - Math.floor(Math.log10(distance))))
+  return point.map((value) => Number(value.toFixed(digits)))
+}
+
 /** The URL query that restores a look and a view, with rounded numbers. Default values are left out, and so is `centre`, the target of the first view. */
 export function written(look: Look, view: View | undefined, centre: View['target'] | undefined): Record<string, string> {
   const query: Record<string, string> = {}
@@ -60,7 +66,7 @@ export function written(look: Look, view: View | undefined, centre: View['target
     for (const name of ['azimuth', 'elevation', 'fov'] as const) query[name] = String(Math.round(10 * view[name]) / 10)
     const round = (value: number) => String(Number(value.toPrecision(3)))
     query.distance = round(view.distance)
-    if (String(view.target) !== String(centre)) query.target = view.target.map((value) => String(Number(value.toFixed(3)))).join()
+    if (String(view.target) !== String(centre)) query.target = rounded(view.target, view).join()
   }
   return query
 }
@@ -78,8 +84,7 @@ export function environment(look: Look, builtin: string[]): NonNullable<RenderRe
 
 /** The render request for the picture of a viewer. */
 export function requestOf(look: Look, view: View, builtin: string[], [width, height]: [number, number]): RenderRequest {
-  const eye = view.eye.map((value) => Number(value.toPrecision(6)))
-  const camera = { look_at: { eye, target: view.target, up: [0, 0, 1], fov_y_deg: view.fov } }
+  const camera = { look_at: { eye: rounded(view.eye, view), target: rounded(view.target, view), up: [0, 0, 1], fov_y_deg: Number(view.fov.toFixed(2)) } }
   return { camera, environment: environment(look, builtin), width, height, outputs: [API_OUTPUTS[look.output] ?? look.output], background: backgroundOf(look) }
 }
 

@@ -57,6 +57,21 @@ export async function unknownPaths(page, base, audit) {
   }
 }
 
+/** Chooses white paper in a photograph by a click. */
+async function greyCard(page) {
+  await page.getByLabel('Light of the photographs').selectOption('card')
+  await page.getByRole('button', { name: 'Start training' }).click()
+  await alert(page, 'No grey or white surface is chosen.').waitFor()
+  await page.getByLabel('Surface', { exact: true }).selectOption('0.85')
+  const picture = page.locator('.patch img')
+  await picture.waitFor()
+  const box = await picture.boundingBox()
+  await picture.click({ position: { x: box.width / 4, y: box.height / 2 } })
+  await page.locator('.patch span').waitFor()
+  await page.getByRole('button', { name: 'Start training' }).click()
+  await alert(page, 'The server is busy.').waitFor()
+}
+
 /** A refused training: the settings that were sent, and the refusal on the page. */
 export async function refusedTraining(page) {
   let sent
@@ -74,5 +89,12 @@ export async function refusedTraining(page) {
   await alert(page, 'The server is busy.').waitFor()
   assert.deepEqual(sent.overrides, { time_budget_s: 600, white_balance: 'daylight' })
   assert.equal(sent.preset, undefined)
+  await greyCard(page)
+  assert.deepEqual(Object.keys(sent.overrides).sort(), ['grey_card', 'time_budget_s'])
+  const { photo, x, y, width, height, reflectance } = sent.overrides.grey_card
+  assert.match(photo, /^train_/)
+  assert.deepEqual([width, height, reflectance], [4, 4, 0.85])
+  // The click was at a quarter of the width and half of the height of 96 x 96 pixels.
+  assert.ok(Math.abs(x + 2 - 24) <= 1 && Math.abs(y + 2 - 48) <= 1, `${x}, ${y}`)
   await page.unroute('**/v1/jobs')
 }

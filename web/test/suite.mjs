@@ -50,7 +50,9 @@ async function audit(page, name) {
     assert.deepEqual(found, [], `${name}, ${colorScheme}`)
     const wide = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth)
     assert.ok(wide <= 0, `${name}: ${wide} pixels wider than the window`)
-    if (shots) await page.screenshot({ path: `${shots}/${name}-${colorScheme}.png` })
+    if (!shots) continue
+    await page.evaluate(() => scrollTo(0, 0))
+    await page.screenshot({ path: `${shots}/${name}-${colorScheme}.png` })
   }
   console.log(`${name}: accessible, light and dark`)
 }

@@ -84,7 +84,7 @@ export function Theatre({ model, look, query, lights, view, onView, onRotation }
           {...start}
         />
         {isReady || error ? null : <Poster model={model.id} light={look.light} arrived={arrived} />}
-        {isWaiting && isReady ? <div class="poster"><p><span class="spinner" />The light is on its way</p></div> : null}
+        {isWaiting && isReady ? <div class="poster late"><p><span class="spinner" />The light is on its way</p></div> : null}
         <div class="corner">
           <button type="button" onClick={() => viewer.current?.reset()}>Reset the view</button>
           {document.fullscreenEnabled ? <button type="button" onClick={() => void (document.fullscreenElement ? document.exitFullscreen() : frame.current?.requestFullscreen())}>Full screen</button> : null}

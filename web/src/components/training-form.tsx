@@ -1,10 +1,11 @@
 import { useState } from 'preact/hooks'
 import { post } from '../api/client'
 import { explain, type Trouble } from '../api/trouble'
-import type { Capture, Job, NewJob } from '../api/types'
+import type { Capture, GreyCard, Job, NewJob } from '../api/types'
 import { called, count, spoken } from '../format'
 import { go, link } from '../router'
 import { Choices, Failure } from './common'
+import { GreyCardPatch } from './grey-card'
 
 /** Time budgets in seconds, and the choice of a preset instead. */
 const TIMES = [
@@ -29,6 +30,7 @@ const BALANCES = [
   ['2900', 'Warm lamps (2900 K)'],
   ['4000', 'Neutral lamps (4000 K)'],
   ['7500', 'Shade or clouds (7500 K)'],
+  ['card', 'A grey card or white paper shows it'],
 ] as const
 
 /** Queues a training of a capture. */
@@ -36,12 +38,15 @@ export function NewTraining({ captures, chosen, jobs }: { captures: Capture[]; c
   const [capture, setCapture] = useState(chosen ?? captures[0]?.id ?? '')
   const [time, setTime] = useState('120')
   const [preset, setPreset] = useState('draft')
+  const [balance, setBalance] = useState('')
+  const [card, setCard] = useState<GreyCard>()
   const [error, setError] = useState<Trouble>()
   const isPreset = time === 'preset'
   const hasMasks = captures.find((one) => one.id === capture)?.report.has_alpha ?? false
   const start = (event: SubmitEvent) => {
     event.preventDefault()
-    const job = requested(new FormData(event.currentTarget as HTMLFormElement), { capture, time, preset })
+    if (balance === 'card' && !card) return setError({ what: 'No grey or white surface is chosen.', remedy: 'Click on it in the photograph, or choose another light.' })
+    const job = requested(new FormData(event.currentTarget as HTMLFormElement), { capture, time, preset, card: balance === 'card' ? card : undefined })
     post<Job>('v1/jobs', job, { 'Idempotency-Key': crypto.randomUUID?.() ?? String(Math.random()) })
       .then((made) => go(link(['jobs', made.id])), (failure: unknown) => setError(explain(failure)))
   }
@@ -53,7 +58,10 @@ export function NewTraining({ captures, chosen, jobs }: { captures: Capture[]; c
       <div class="fields">
         <div>
           <label for="capture">Photographs</label>
-          <select id="capture" value={capture} onChange={(event) => setCapture(event.currentTarget.value)}>
+          <select id="capture" value={capture} onChange={(event) => {
+            setCapture(event.currentTarget.value)
+            setCard(undefined)
+          }}>
             {captures.map((one) => <option key={one.id} value={one.id}>{called(one, 'Capture')}</option>)}
           </select>
         </div>
@@ -67,10 +75,11 @@ export function NewTraining({ captures, chosen, jobs }: { captures: Capture[]; c
         </div>
         <div>
           <label for="balance">Light of the photographs</label>
-          <select id="balance" name="white_balance">{BALANCES.map(([value, label]) => <option key={value} value={value}>{label}</option>)}</select>
+          <select id="balance" name="white_balance" value={balance} onChange={(event) => setBalance(event.currentTarget.value)}>{BALANCES.map(([value, label]) => <option key={value} value={value}>{label}</option>)}</select>
         </div>
         <div><label for="name">Name <span class="hint">(optional)</span></label><input id="name" name="name" maxLength={200} autocomplete="off" /></div>
       </div>
+      {balance === 'card' ? <GreyCardPatch key={capture} capture={capture} value={card} onChange={setCard} /> : null}
       <details>
         <summary>Details</summary>
         <div class="stack">
@@ -94,14 +103,15 @@ function Whole({ name, label, min }: { name: string; label: string; min: number 
 }
 
 /** The body of the request. */
-function requested(form: FormData, { capture, time, preset }: { capture: string; time: string; preset: string }): NewJob {
+function requested(form: FormData, { capture, time, preset, card }: { capture: string; time: string; preset: string; card: GreyCard | undefined }): NewJob {
   const text = (name: string) => String(form.get(name) ?? '').trim()
   const overrides: Record<string, unknown> = {}
   for (const name of ['iterations', 'resolution', 'max_gaussians']) if (text(name)) overrides[name] = Number(text(name))
   if (time !== 'preset') overrides.time_budget_s = Number(time)
   if (text('crop')) overrides.crop = text('crop')
   const balance = text('white_balance')
-  if (balance) overrides.white_balance = Number(balance) || balance
+  if (card) overrides.grey_card = card
+  else if (balance) overrides.white_balance = Number(balance) || balance
   const job: Record<string, unknown> = { capture, overrides }
   if (time === 'preset') job.preset = preset
   if (text('name')) job.name = text('name')

@@ -3,6 +3,7 @@ import { patch, remove } from '../api/client'
 import { explain, troubleOf, type Trouble } from '../api/trouble'
 import type { Capture, Photographs, Report } from '../api/types'
 import { Facts, Failure, Head, Missing } from '../components/common'
+import { Notify } from '../components/notify'
 import { PhotographList } from '../components/photographs'
 import { Log, POLL, Poses } from '../components/poses'
 import { Rig } from '../components/rig'
@@ -32,8 +33,10 @@ export function CapturePage({ id }: { id: string }) {
         {capture ? <button type="button" class="quiet danger" onClick={discard}>Delete</button> : null}
       </Head>
       <Failure error={error ?? failed} retry={reload} />
+      {capture ? <Notify isOver={capture.state !== 'validating'} text={`${called(capture, 'The capture')}: ${capture.state ?? 'ready'}`} /> : null}
       {capture ? (
         <div class={isReady ? 'split' : 'stack'}>
+          {isReady ? null : <Validation of={capture} />}
           <div class="stack">
             {isReady ? (
               <section class="card" aria-labelledby="cameras">
@@ -47,7 +50,7 @@ export function CapturePage({ id }: { id: string }) {
             {taken.data ? <section class="card stack" aria-labelledby="photographs"><h2 id="photographs">Photographs</h2><PhotographList of={taken.data.photographs} /></section> : null}
             {capture.poses || capture.made_of || capture.state === 'invalid' ? <Log capture={id} works={isWaiting} /> : null}
           </div>
-          <Validation of={capture} />
+          {isReady ? <Validation of={capture} /> : null}
         </div>
       ) : null}
     </>

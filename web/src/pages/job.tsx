@@ -14,6 +14,9 @@ import { go, link } from '../router'
 /** Interval between two requests for the preview, milliseconds. */
 const LOOK = 1500
 
+/** Interval between two requests for an unfinished job, milliseconds. */
+const POLL = 5000
+
 /** The events that have arrived for a job. */
 export function useEvents(id: string | undefined): JobEvent[] {
   const [events, setEvents] = useState<JobEvent[]>([])
@@ -40,13 +43,16 @@ export function curve(events: JobEvent[], figure: 'psnr' | 'loss'): { points: { 
 
 export function JobPage({ id }: { id: string }) {
   const path = `v1/jobs/${encodeURIComponent(id)}`
-  const { data: job, error, reload } = useLoaded<Job>(path)
+  const [isOver, setOver] = useState(true)
+  // The events have the progress; the poll tells whether the server still answers.
+  const { data: job, error, reload } = useLoaded<Job>(path, isOver ? undefined : POLL)
   const events = useEvents(id)
   const [failed, setFailed] = useState<Trouble>()
   const states = events.filter((event) => event.kind === 'state')
   const state = states.at(-1)?.state ?? job?.state
   useTitle(job ? called(job, 'Job') : 'Job')
   useEffect(reload, [state, reload])
+  useEffect(() => setOver(hasEnded(state)), [state])
   const attempt = (work: Promise<unknown>) => work.then(reload, (failure: unknown) => setFailed(explain(failure)))
   const retry = () => post<Job>(`${path}/retry`).then((made) => go(link(['jobs', made.id])))
   const discard = () => confirm('Delete this job? Its model stays.') && attempt(remove(path).then(() => go(link(['jobs']))))
@@ -135,7 +141,7 @@ function Preview({ job, state, total }: { job: Job; state: JobState; total: numb
   return (
     <div class="preview">
       {url ? <img src={url} alt={seen} /> : <p>{waits}</p>}
-      {url && step && !job.model ? <span class="step">{Math.floor((100 * Number(step)) / Math.max(total, 1))} %</span> : null}
+      {url && step && !job.model ? <span class="step">at {Math.floor((100 * Number(step)) / Math.max(total, 1))} % of the training</span> : null}
     </div>
   )
 }

@@ -70,6 +70,8 @@ export class Orbit {
   readonly #listener: OrbitListener
   #view: OrbitView = { azimuth: 0, zero: 0, elevation: 20, distance: 4, target: [0, 0, 0], fov: 40 }
   #begin: Partial<OrbitView> = {}
+  /** The view when the last pointer went down. */
+  #held: Partial<OrbitView> = {}
   #listening: AbortController | undefined
   readonly #pointers = new Map<number, PointerEvent>()
 
@@ -120,13 +122,19 @@ export class Orbit {
     const on = <K extends keyof HTMLElementEventMap>(name: K, handler: (event: HTMLElementEventMap[K]) => void) =>
       this.#element.addEventListener(name, handler, { signal, passive: false })
     on('pointerdown', (event) => {
+      this.#held = this.view()
       this.#element.setPointerCapture(event.pointerId)
       this.#pointers.set(event.pointerId, event)
     })
     on('pointermove', (event) => this.#drag(event))
     const end = (event: PointerEvent) => void this.#pointers.delete(event.pointerId)
     on('pointerup', end)
-    on('pointercancel', end)
+    on('pointercancel', (event) => {
+      end(event)
+      // The browser takes the finger to scroll the page, so its first pixels were no drag.
+      this.set(this.#held)
+      this.#listener.changed()
+    })
     // One finger may scroll the page up and down; two fingers move the model.
     on('touchstart', (event) => event.touches.length > 1 && event.preventDefault())
     on('touchmove', (event) => event.touches.length > 1 && event.cancelable && event.preventDefault())
