@@ -42,10 +42,11 @@ export function planOf({ preset, overrides }: Job): string {
   return overrides.time_budget_s ? spoken(overrides.time_budget_s) : preset
 }
 
-/** The agreement with photographs that a training did not see, in words. The bounds are conventions. */
-export function quality(psnr: number | null | undefined): string {
+/** The agreement with photographs in words, at the size at which they were compared. The bounds are conventions. */
+export function quality(psnr: number | null | undefined, side?: number): string {
   if (psnr == null) return '–'
-  return psnr >= 34 ? 'very good' : psnr >= 30 ? 'good' : psnr >= 25 ? 'fair' : 'rough'
+  const word = psnr >= 34 ? 'very good' : psnr >= 30 ? 'good' : psnr >= 25 ? 'fair' : 'rough'
+  return side ? `${word} at ${side} pixels` : word
 }
 
 export function moment(rfc3339: string | null | undefined): string {

@@ -165,6 +165,14 @@ await page.getByRole('link', { name: 'Open the model' }).waitFor({ timeout: 120_
 await page.getByRole('img', { name: 'The finished model' }).waitFor()
 assert.equal(await page.evaluate(() => globalThis.notified), 'Walk: succeeded')
 await page.locator('.notice.good').getByText('reached').waitFor()
+await page.getByRole('heading', { name: /^Quality: .* at 64 pixels$/ }).waitFor()
+// The steps of a time budget have another message; their figures are shown, too.
+const steps = [1, 2].map((step) => `event: progress\ndata: ${JSON.stringify({ at: '', step, total: 2, psnr: 31, loss: 0.1, message: 'planned: 2 steps at 64 px' })}\n\n`)
+await page.route('**/events', (route) => route.fulfill({ contentType: 'text/event-stream', body: `${steps.join('')}event: state\ndata: {"at":"","state":"succeeded"}\n\n` }))
+await page.reload()
+await page.getByText('Details', { exact: true }).first().click()
+await page.getByRole('img', { name: 'PSNR: 31.00 dB at step 2 of 2' }).waitFor()
+await page.unroute('**/events')
 
 // Two trainings, side by side.
 await go('/jobs')

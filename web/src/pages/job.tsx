@@ -3,7 +3,7 @@ import { useEffect, useState } from 'preact/hooks'
 import { patch, post, remove } from '../api/client'
 import { explain, type Trouble } from '../api/trouble'
 import { hasEnded, jobEvents, type JobEvent } from '../api/events'
-import type { Job, JobState } from '../api/types'
+import type { Job, JobState, Model } from '../api/types'
 import { Facts, Failure, Head, Missing } from '../components/common'
 import { Notify } from '../components/notify'
 import { Plot } from '../components/plot'
@@ -32,10 +32,13 @@ export function useEvents(id: string | undefined): JobEvent[] {
   return events
 }
 
+/** Messages of training steps: the second is that of a time budget. Other activities repeat the figures of the last step. */
+const TRAINS = /^(training$|planned:)/
+
 /** A figure of the training as a function of the step. */
 export function curve(events: JobEvent[], figure: 'psnr' | 'loss'): { points: { x: number; y: number }[] } {
   const points = events.flatMap((event) => {
-    const value = event.kind === 'progress' && event.message === 'training' ? event[figure] : undefined
+    const value = event.kind === 'progress' && TRAINS.test(event.message ?? '') ? event[figure] : undefined
     return event.kind === 'progress' && value != null ? [{ x: event.step, y: value }] : []
   })
   return { points }
@@ -106,8 +109,8 @@ function Live({ job, state, events }: { job: Job; state: JobState; events: JobEv
           <details>
             <summary>Details</summary>
             <div class="stack">
+              {state === 'running' && now.message ? <p class="small muted">{now.message}</p> : null}
               <Facts of={[
-                ['Activity', <span class="small">{state === 'running' ? now.message ?? '–' : state}</span>],
                 ['Step', <>{count(now.step)} <small>of {count(now.total)}</small></>],
                 ['PSNR', decibels(now.psnr)],
                 ['Loss', share(now.loss)],
@@ -146,14 +149,21 @@ function Preview({ job, state, total }: { job: Job; state: JobState; total: numb
   )
 }
 
+/** The longest side of the photographs in the training of a model, pixels. */
+function useTrainedSide(model: string | null | undefined): number | undefined {
+  const { data } = useLoaded<Model>(model ? `v1/models/${model}` : undefined)
+  return (data?.card as { config?: { resolution?: number } } | undefined)?.config?.resolution
+}
+
 function Figures({ job }: { job: Job }) {
   const { figures, quality_gate: gate, missed } = job
+  const side = useTrainedSide(job.model)
   if (!figures) return null
   const psnr = figures.novel_view?.psnr
   return (
     <section class="card stack" aria-labelledby="figures">
-      <h2 id="figures">Quality: {quality(psnr)}</h2>
-      <p class="small muted">{figures.views ? `Compared with ${figures.views} photograph${figures.views === 1 ? '' : 's'} that the training did not see.` : 'Nothing could be compared.'}</p>
+      <h2 id="figures">Quality: {quality(psnr, side)}</h2>
+      <p class="small muted">{figures.views ? `Compared with ${figures.views} photograph${figures.views === 1 ? '' : 's'} that the training did not see, at the size of the training. A longer training is sharper.` : 'Nothing could be compared.'}</p>
       {Object.entries(gate ?? {}).map(([figure, bound]) => {
         const miss = missed?.find((one) => one.figure === figure)
         return <p key={figure} class={miss ? 'notice bad' : 'notice good'}>Gate {figure} {bound}: {miss ? 'missed' : 'reached'}</p>

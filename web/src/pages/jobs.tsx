@@ -2,7 +2,7 @@ import { useState } from 'preact/hooks'
 import type { Capture, Job, Listed } from '../api/types'
 import { Badge, Failure, Head, Picture } from '../components/common'
 import { NewTraining } from '../components/training-form'
-import { called, moment, planOf, quality, spoken } from '../format'
+import { called, moment, planOf, spoken } from '../format'
 import { useLoaded, useTitle } from '../hooks'
 import { link } from '../router'
 
@@ -39,7 +39,7 @@ function Table({ of: jobs, captures }: { of: Job[]; captures: Capture[] }) {
       </div>
       <div class="scroll">
         <table>
-          <thead><tr><th>Compare</th><th><span class="skip">Picture</span></th><th>Name</th><th>State</th><th>Progress</th><th>Plan</th><th>Quality</th><th>Added</th></tr></thead>
+          <thead><tr><th>Compare</th><th><span class="skip">Picture</span></th><th>Name</th><th>State</th><th>Progress</th><th>Plan</th><th>Added</th></tr></thead>
           <tbody>
             {jobs.map((job) => {
               const capture = captureOf(job)
@@ -52,7 +52,6 @@ function Table({ of: jobs, captures }: { of: Job[]; captures: Capture[] }) {
                   <td><Badge state={job.state} /></td>
                   <td><Progress of={job} name={name} /></td>
                   <td>{planOf(job)}</td>
-                  <td>{quality(job.figures?.novel_view?.psnr)}</td>
                   <td class="muted">{moment(job.created_at)}</td>
                 </tr>
               )

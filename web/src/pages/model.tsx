@@ -97,7 +97,7 @@ interface Card {
   steps?: number
   photographs?: number
   engine?: string
-  config?: { preset?: string }
+  config?: { preset?: string; resolution?: number }
 }
 
 function Figures({ of: model }: { of: Model }) {
@@ -105,7 +105,7 @@ function Figures({ of: model }: { of: Model }) {
   const psnr = card.figures?.novel_view?.psnr
   return (
     <section class="card stack" aria-labelledby="card">
-      <h2 id="card">Quality: {quality(psnr)}</h2>
+      <h2 id="card">Quality: {quality(psnr, card.config?.resolution)}</h2>
       <Facts of={[['Photographs', count(card.photographs)], ['Training', duration(card.training_seconds)]]} />
       <details>
         <summary>Details</summary>
