@@ -1,5 +1,6 @@
 // What the app says when something goes wrong, in its own words, and how the user goes on.
 import assert from 'node:assert/strict'
+import { basename } from 'node:path'
 
 const alert = (page, text) => page.getByRole('alert').filter({ hasText: text }).first()
 
@@ -21,9 +22,23 @@ export async function keyIsNotPolled(open, base) {
   await page.context().close()
 }
 
-/** Files that are no capture. */
-export async function wrongFiles(page) {
+/** Files that are no capture, and files that the server refuses. `photos` is a folder of photographs. */
+export async function wrongFiles(page, photos) {
   const input = page.getByLabel('Files of a capture')
+  const refuse = (kind, status) => (route) => {
+    const problem = { type: `urn:relume:problem:${kind}`, title: kind, status, detail: kind, request_id: 'r' }
+    return route.request().method() === 'POST' ? route.fulfill({ status, contentType: 'application/problem+json', body: JSON.stringify(problem) }) : route.continue()
+  }
+  await page.route('**/v1/uploads', refuse('too-large', 413))
+  await input.setInputFiles({ name: 'large.zip', mimeType: 'application/zip', buffer: Buffer.from('PK') })
+  await alert(page, 'This is larger than the server accepts.').waitFor()
+  await page.unroute('**/v1/uploads')
+  await page.route('**/v1/captures?*', refuse('insufficient-storage', 507))
+  const sent = page.waitForRequest((request) => request.method() === 'POST' && request.url().includes('/v1/captures?'))
+  await page.getByLabel('Folder of a capture').setInputFiles(photos)
+  await alert(page, 'The disk of the server is full.').getByRole('button', { name: 'Try again' }).waitFor()
+  assert.equal(new URL((await sent).url()).searchParams.get('name'), basename(photos), 'a capture has the name of its folder')
+  await page.unroute('**/v1/captures?*')
   await input.setInputFiles({ name: 'letter.pdf', mimeType: 'application/pdf', buffer: Buffer.from('%PDF') })
   await alert(page, 'letter.pdf is no photograph and no zip').waitFor()
   await input.setInputFiles({ name: 'clip.mov', mimeType: 'video/quicktime', buffer: Buffer.from('moov') })

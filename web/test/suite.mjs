@@ -14,7 +14,7 @@ const axe = readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.mi
 // WebGPU in software: of the flags that are usually named, only these give an adapter and a canvas.
 const FLAGS = ['--no-sandbox', '--enable-unsafe-webgpu', '--use-angle=swiftshader', '--enable-features=Vulkan', '--use-vulkan=swiftshader']
 /** Refusals that the walk provokes: a browser tells them to its console. */
-const PROVOKED = [401, 404, 422, 503]
+const PROVOKED = [401, 404, 413, 422, 503, 507]
 
 const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', args: FLAGS })
 const faults = []
@@ -82,7 +82,7 @@ await dialog.getByRole('button', { name: 'Continue' }).click()
 await dialog.waitFor({ state: 'hidden' })
 await heading('Captures').waitFor()
 await keyIsNotPolled(open, base)
-await wrongFiles(page)
+await wrongFiles(page, photos)
 await audit(page, 'captures')
 
 // Upload: a zip in pieces, through an upload that breaks off once.

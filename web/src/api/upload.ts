@@ -1,4 +1,4 @@
-import { type HttpRequest, Upload } from 'tus-js-client'
+import { type DetailedError, type HttpRequest, Upload } from 'tus-js-client'
 import { address, authorization, ask, keyNeeded, post, Refused } from './client'
 import type { Capture, Problem } from './types'
 
@@ -87,7 +87,7 @@ async function sendArchive(file: File, onProgress: OnProgress, signal: AbortSign
         for (const [header, value] of Object.entries(authorization())) request.setHeader(header, value)
       },
       onProgress: (sent, total) => onProgress(sent, total ?? file.size),
-      onError: failed,
+      onError: (error) => failed(refused(error)),
       onSuccess: () => done(upload.url?.split('/').pop() ?? ''),
     })
     signal.addEventListener('abort', () => {
@@ -99,6 +99,21 @@ async function sendArchive(file: File, onProgress: OnProgress, signal: AbortSign
       upload.start()
     }, failed)
   })
+}
+
+/** The answer of the server in an error of the upload, or a lost connection. */
+function refused(error: Error | DetailedError): Error {
+  const answer = 'originalResponse' in error ? error.originalResponse : null
+  if (!answer) return new TypeError(error.message)
+  return new Refused(answer.getStatus(), problemIn(answer.getBody()))
+}
+
+function problemIn(body: string): Problem | null {
+  try {
+    return JSON.parse(body) as Problem
+  } catch {
+    return null
+  }
 }
 
 /** Sends files as one form. `fetch` reports no upload progress, so this uses XMLHttpRequest. */
@@ -119,8 +134,7 @@ async function sendForm(files: Dropped[], name: string, onProgress: OnProgress, 
     })
     request.send(form)
   })
-  const body: unknown = JSON.parse(answer.responseText || 'null')
   if (answer.status === 401) await keyNeeded()
-  if (answer.status >= 300) throw new Refused(answer.status, body as Problem | null)
-  return body as Capture
+  if (answer.status >= 300) throw new Refused(answer.status, problemIn(answer.responseText))
+  return JSON.parse(answer.responseText) as Capture
 }

@@ -48,7 +48,7 @@ export function CapturePage({ id }: { id: string }) {
             ) : null}
             {capture.poses ? <Poses of={capture.poses} since={capture.created_at} /> : null}
             {taken.data ? <section class="card stack" aria-labelledby="photographs"><h2 id="photographs">Photographs</h2><PhotographList of={taken.data.photographs} /></section> : null}
-            {capture.poses || capture.made_of || capture.state === 'invalid' ? <Log capture={id} works={isWaiting} /> : null}
+            {!isReady || capture.made_of ? <Log capture={id} works={isWaiting} /> : null}
           </div>
           {isReady ? <Validation of={capture} /> : null}
         </div>
