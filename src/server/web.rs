@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn browsers_are_sent_from_unknown_paths_to_pages_and_other_clients_are_not() {
+    fn only_browsers_are_redirected_from_unknown_paths() {
         let location = |method: Method, path: &'static str, accept: &str| {
             let headers = HeaderMap::from_iter([(header::ACCEPT, accept.parse().unwrap())]);
             let response = redirect(&method, &Uri::from_static(path), &headers)?;
