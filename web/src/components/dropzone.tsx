@@ -74,25 +74,39 @@ export function DropZone({ onDone }: { onDone: (capture: Capture) => void }) {
       }}
     >
       {sending ? <Progress of={sending} onStop={() => stop.current?.abort()} /> : (
-        <>
-          <h2>Drop photographs here</h2>
-          <p class="muted">30 or more photographs of one thing, taken from all sides. The server finds out where each was taken, which needs COLMAP on it.</p>
-          <div class="row">
-            <button class="primary" type="button" onClick={() => archive.current?.click()}>Choose photographs or a zip</button>
-            <button type="button" onClick={() => folder.current?.click()}>Choose a folder</button>
-            <button type="button" onClick={() => void sample()}>Try the sample</button>
-          </div>
-          <details class="left">
-            <summary>If you already know the camera positions</summary>
-            <p class="small muted">Send them with the photographs, in one zip or folder: COLMAP files, or a <code>transforms.json</code> as NeRF programs write it. The server then needs no COLMAP.</p>
-          </details>
-        </>
+        <Invitation onFiles={() => archive.current?.click()} onFolder={() => folder.current?.click()} onSample={() => void sample()} />
       )}
-      <input ref={archive} type="file" multiple hidden aria-label="Files of a capture" onChange={(event) => void take(filesIn(event.currentTarget.files))} />
-      <input ref={folder} type="file" {...{ webkitdirectory: true }} hidden aria-label="Folder of a capture" onChange={(event) => void take(filesIn(event.currentTarget.files))} />
+      <input ref={archive} type="file" multiple hidden aria-label="Files of a capture" onChange={(event) => void take(chosen(event.currentTarget))} />
+      <input ref={folder} type="file" {...{ webkitdirectory: true }} hidden aria-label="Folder of a capture" onChange={(event) => void take(chosen(event.currentTarget))} />
       {photographs.length ? <Photographs of={photographs} /> : null}
       <Failure error={error} {...(again ? { retry: again } : {})} />
     </section>
+  )
+}
+
+/** The files of an input, which is then empty: browsers report the choice of a changed file with the same name only then. */
+function chosen(input: HTMLInputElement): Dropped[] {
+  const files = filesIn(input.files)
+  input.value = ''
+  return files
+}
+
+/** What can be dropped, and the buttons for those who do not drop. */
+function Invitation({ onFiles, onFolder, onSample }: { onFiles: () => void; onFolder: () => void; onSample: () => void }) {
+  return (
+    <>
+      <h2>Drop photographs here</h2>
+      <p class="muted">30 or more photographs of one thing, taken from all sides. The server finds out where each was taken, which needs COLMAP on it.</p>
+      <div class="row">
+        <button class="primary" type="button" onClick={onFiles}>Choose photographs or a zip</button>
+        <button type="button" onClick={onFolder}>Choose a folder</button>
+        <button type="button" onClick={onSample}>Try the sample</button>
+      </div>
+      <details class="left">
+        <summary>If you already know the camera positions</summary>
+        <p class="small muted">Send them with the photographs, in one zip or folder: COLMAP files, or a <code>transforms.json</code> as NeRF programs write it. The server then needs no COLMAP.</p>
+      </details>
+    </>
   )
 }
 

@@ -22,20 +22,19 @@ interface TheatreProps {
   onRotation: (degrees: number) => void
 }
 
-/** The viewer and the actions on its picture. */
-export function Theatre({ model, look, query, lights, view, onView, onRotation }: TheatreProps) {
+interface Arrived {
+  bytes: number
+  total: number | undefined
+}
+
+/** The viewer's element and what its events have told. */
+function useViewer(onView: TheatreProps['onView']) {
   const viewer = useRef<RelumeViewer>(null)
-  const frame = useRef<HTMLDivElement>(null)
-  // The initial camera comes from the URL; later the viewer reports its camera.
-  const [start] = useState(() => readView(query))
   const [mode, setMode] = useState<string>()
   const [isReady, setReady] = useState(false)
-  const [arrived, setArrived] = useState<{ bytes: number; total: number | undefined }>()
   const [isWaiting, setWaiting] = useState(false)
-  const [turning, setTurning] = useState(false)
-  const [marked, setMarked] = useState(true)
+  const [arrived, setArrived] = useState<Arrived>()
   const [error, setError] = useState<Trouble>()
-  const [told, setTold] = useState('')
   useEffect(() => {
     const element = viewer.current
     if (!element) return
@@ -50,12 +49,24 @@ export function Theatre({ model, look, query, lights, view, onView, onRotation }
       setMode(mode)
       onView(element.camera(), true)
     })
-    on<{ bytes: number; total: number | undefined }>('relume-progress', setArrived)
+    on<Arrived>('relume-progress', setArrived)
     on<boolean>('relume-waiting', setWaiting)
     on<{ message: string }>('relume-error', ({ message }) => setError({ what: 'The viewer cannot show this.', remedy: 'Try again, or choose another light.', detail: message }))
     return () => stop.abort()
   }, [onView])
-  useEffect(() => setError(undefined), [look])
+  return { viewer, mode, isReady, isWaiting, arrived, error, setError }
+}
+
+/** The viewer and the actions on its picture. */
+export function Theatre({ model, look, query, lights, view, onView, onRotation }: TheatreProps) {
+  const frame = useRef<HTMLDivElement>(null)
+  // The initial camera comes from the URL; later the viewer reports its camera.
+  const [start] = useState(() => readView(query))
+  const { viewer, mode, isReady, isWaiting, arrived, error, setError } = useViewer(onView)
+  const [turning, setTurning] = useState(false)
+  const [marked, setMarked] = useState(true)
+  const [told, setTold] = useState('')
+  useEffect(() => setError(undefined), [look, setError])
   const act = (work: Promise<string>) => work.then(setTold, (failure: unknown) => setError(explain(failure)))
   const keep = async () => {
     if (!viewer.current) return ''
@@ -106,7 +117,7 @@ export function Theatre({ model, look, query, lights, view, onView, onRotation }
 }
 
 /** The picture of the model while the viewer loads, and how much of it has arrived. */
-function Poster({ model, light, arrived }: { model: string; light: string; arrived: { bytes: number; total: number | undefined } | undefined }) {
+function Poster({ model, light, arrived }: { model: string; light: string; arrived: Arrived | undefined }) {
   const isWhole = arrived && arrived.bytes === arrived.total
   const text = !arrived || isWhole ? 'The light is on its way' : `${bytes(arrived.bytes)}${arrived.total ? ` of ${bytes(arrived.total)}` : ''}`
   return (

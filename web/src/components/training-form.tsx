@@ -80,21 +80,28 @@ export function NewTraining({ captures, chosen, jobs }: { captures: Capture[]; c
         <div><label for="name">Name <span class="hint">(optional)</span></label><input id="name" name="name" maxLength={200} autocomplete="off" /></div>
       </div>
       {balance === 'card' ? <GreyCardPatch key={capture} capture={capture} value={card} onChange={setCard} /> : null}
-      <details>
-        <summary>Details</summary>
-        <div class="stack">
-          <div class="fields">
-            {isPreset ? <Whole name="iterations" label="Steps" min={1} /> : null}
-            <Whole name="resolution" label="Longest side, px" min={16} />
-            <Whole name="max_gaussians" label="Gaussians at most" min={16} />
-            <div><label for="gate">Quality gate, dB <span class="hint">(optional)</span></label><input id="gate" name="gate" type="number" min="0" max="60" step="0.1" placeholder="e.g. 28" aria-describedby="gate-hint" /></div>
-          </div>
-          <p class="hint" id="gate-hint">If photographs that the training did not see have less PSNR than the gate, the model is kept and the job ends as rejected.</p>
-        </div>
-      </details>
+      <Details isPreset={isPreset} />
       <Failure error={error} />
       <div class="row"><button class="primary" type="submit">Start training</button><Forecast jobs={jobs} time={time} preset={preset} /></div>
     </form>
+  )
+}
+
+/** Settings for experts. */
+function Details({ isPreset }: { isPreset: boolean }) {
+  return (
+    <details>
+      <summary>Details</summary>
+      <div class="stack">
+        <div class="fields">
+          {isPreset ? <Whole name="iterations" label="Steps" min={1} /> : null}
+          <Whole name="resolution" label="Longest side, px" min={16} />
+          <Whole name="max_gaussians" label="Gaussians at most" min={16} />
+          <div><label for="gate">Quality gate, dB <span class="hint">(optional)</span></label><input id="gate" name="gate" type="number" min="0" max="60" step="0.1" placeholder="e.g. 28" aria-describedby="gate-hint" /></div>
+        </div>
+        <p class="hint" id="gate-hint">If photographs that the training did not see have less PSNR than the gate, the model is kept and the job ends as rejected.</p>
+      </div>
+    </details>
   )
 }
 
