@@ -119,6 +119,18 @@ async fn a_capture_is_fetched_once_from_a_url_and_hash_checked() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_sample_is_a_capture_that_the_server_makes_once() {
+    let server = server("https://a.example", |_| {}).await;
+    let made = make(&server, json!({"sample": true})).await;
+    assert_eq!(made.0, 201, "{made:?}");
+    assert_eq!(made.1["report"]["train_images"], 20);
+    let again = make(&server, json!({"sample": true, "sha256": made.1["sha256"]})).await;
+    assert_eq!((again.0, &again.1["id"]), (200, &made.1["id"]), "{again:?}");
+    let both = make(&server, json!({"sample": true, "url": "https://a.example/"})).await;
+    assert!(both.0 == 422 && both.1.to_string().contains("/sample"), "{both:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_upload_with_a_wrong_hash_is_refused_and_kept() {
     let server = testing::spawn().await.unwrap();
     let (client, archive) = (server.client(), capture_zip());

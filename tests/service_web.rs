@@ -140,3 +140,20 @@ async fn unknown_web_paths_answer_with_a_problem() {
     let posted = server.client().request(Method::POST, "/").unwrap().send().await.unwrap();
     assert_eq!(posted.status(), StatusCode::METHOD_NOT_ALLOWED);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn browsers_are_sent_from_unknown_paths_to_the_web_app() {
+    // With keys: the page itself asks for one.
+    let keys = |config: &mut relume::server::ServerConfig| config.api_keys = ApiKeys::new(["a-key"]);
+    let locked = testing::spawn_with(TempDir::new().unwrap(), keys).await.unwrap();
+    let server = testing::spawn().await.unwrap();
+    let browser = "text/html,application/xhtml+xml,*/*;q=0.8";
+    let shown = request(&server, "/models/none").header(header::ACCEPT, browser).send().await.unwrap();
+    assert_eq!((shown.status(), shown.url().path()), (StatusCode::OK, "/"));
+    let asked = request(&locked, "/models/none").header(header::ACCEPT, browser).send().await.unwrap();
+    assert_eq!((asked.status(), asked.url().path()), (StatusCode::OK, "/"));
+    assert_eq!(get(&locked, "/models/none").await.status(), StatusCode::UNAUTHORIZED);
+    assert_eq!(get(&server, "/models/none").await.status(), StatusCode::NOT_FOUND);
+    let api = request(&server, "/v1/none").header(header::ACCEPT, browser).send().await.unwrap();
+    assert_eq!(api.status(), StatusCode::NOT_FOUND);
+}

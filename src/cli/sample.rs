@@ -27,23 +27,18 @@ enum HeldOut {
     Elsewhere,
 }
 
-/// Renders the scene of the demo with fewer and smaller photographs, some of them held out.
+/// Renders and writes the capture.
 pub(super) fn run(args: &SampleArgs) -> CommandResult {
     if args.out.exists() {
         return Err(format!("{}: the file already exists", args.out.display()).into());
     }
     let options = SyntheticOptions {
-        train_views: 20,
-        test_views: 4,
         held_out: match args.held_out {
             HeldOut::Between => HeldOutCameras::Between,
             HeldOut::Elsewhere => HeldOutCameras::Elsewhere,
         },
-        size: 96,
-        relit: [].into(),
-        paths: 32,
         seed: args.seed,
-        ..SyntheticOptions::default()
+        ..SyntheticOptions::sample()
     };
     let capture = synthetic(&options)?;
     output::write_named(&args.out, &write_archive(&capture)?)?;

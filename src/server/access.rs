@@ -115,7 +115,13 @@ const TABLE: &[(Method, &str, Access)] = &[
 
 /// The entry of the table for a request with a matched route.
 fn access_of(request: &Request) -> Option<Access> {
-    let route = request.extensions().get::<MatchedPath>()?;
+    let route = request.extensions().get::<MatchedPath>();
+    // The web app, to which a browser is sent from an unknown path, asks for a key by itself.
+    #[cfg(feature = "web")]
+    if route.is_none() && web::redirect(request.method(), request.uri(), request.headers()).is_some() {
+        return Some(Open);
+    }
+    let route = route?;
     #[cfg(feature = "web")]
     if web::ROUTES.contains(&route.as_str()) {
         return Some(Open);

@@ -16,7 +16,7 @@ use crate::server::file_body::{self, AcceptedBody};
 use crate::server::listing::rfc3339;
 use crate::server::metadata::{self, FilteredPageQuery, MetadataQuery};
 use crate::server::problem::Problem;
-use crate::server::{fetching, poses, uploads};
+use crate::server::{fetching, poses, sample_capture, uploads};
 use crate::store::{CaptureRecord, StagedUpload};
 use relume_api::captures::{CaptureState, CaptureSummary};
 use relume_api::metadata::MetadataChange;
@@ -44,6 +44,7 @@ pub(super) fn uploads() -> OpenApiRouter<AppState> {
 /// - JSON with `upload`, a complete upload (see `/v1/uploads`); the server deletes the upload after success
 ///   and keeps it after an error
 /// - JSON with `url`, a file that the server fetches
+/// - JSON with `"sample": true`, a small synthetic capture that the server renders
 ///
 /// The server streams the file to disk, hashes and validates it. It answers 201 when every byte is durable.
 /// If the tenant already has a capture with the same content, the server answers 200 with that capture and
@@ -221,7 +222,7 @@ async fn receive(app: &AppState, caller: &Caller, request: Request) -> Result<St
     file_body::receive(app, caller, request, &expected).await
 }
 
-/// The bytes of the upload or URL in a body.
+/// The bytes of the source in a body.
 async fn from_source(
     app: &AppState,
     caller: &Caller,
@@ -231,12 +232,18 @@ async fn from_source(
     if source.sha256.as_deref().is_some_and(|text| !is_hash(text)) {
         return Err(Problem::invalid_field("/sha256", "must be 64 hexadecimal digits"));
     }
-    let incoming = match (&source.upload, &source.url) {
-        (Some(upload), None) => uploads::finalise(app, caller, upload).await?,
-        (None, Some(url)) => fetching::receive(app, caller, url, app.limits.capture_bytes).await?,
-        (None, None) => return Err(Problem::invalid_field("/upload", "either upload or url is required")),
-        (Some(_), Some(_)) => {
+    let incoming = match (&source.upload, &source.url, source.sample) {
+        (Some(upload), None, false) => uploads::finalise(app, caller, upload).await?,
+        (None, Some(url), false) => fetching::receive(app, caller, url, app.limits.capture_bytes).await?,
+        (None, None, true) => sample_capture::receive(app, caller).await?,
+        (None, None, false) => {
+            return Err(Problem::invalid_field("/upload", "one of upload, url and sample is required"));
+        }
+        (Some(_), Some(_), _) => {
             return Err(Problem::invalid_field("/url", "must not be combined with upload"));
+        }
+        (_, _, true) => {
+            return Err(Problem::invalid_field("/sample", "must not be combined with upload or url"));
         }
     };
     match &source.sha256 {

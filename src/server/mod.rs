@@ -60,6 +60,7 @@ mod retention_pace;
 mod router;
 mod run;
 mod same_site;
+mod sample_capture;
 mod signed_urls;
 mod signing;
 mod signing_secret;

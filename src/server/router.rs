@@ -1,7 +1,8 @@
 //! All routes.
 
 use axum::Router;
-use axum::http::{Method, StatusCode, Uri};
+use axum::http::{HeaderMap, Method, StatusCode, Uri};
+use axum::response::{IntoResponse, Response};
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 
@@ -66,8 +67,14 @@ pub(super) fn router(app: AppState, config: MiddlewareConfig) -> Router {
     middleware::with_middleware(routes, config).with_state(app)
 }
 
-async fn no_such_path(uri: Uri) -> Problem {
-    Problem::not_found("path", uri.path())
+async fn no_such_path(method: Method, uri: Uri, headers: HeaderMap) -> Response {
+    #[cfg(feature = "web")]
+    if let Some(redirection) = web::redirect(&method, &uri, &headers) {
+        return redirection;
+    }
+    #[cfg(not(feature = "web"))]
+    let _ = (method, headers);
+    Problem::not_found("path", uri.path()).into_response()
 }
 
 async fn method_not_allowed(method: Method, uri: Uri) -> Problem {

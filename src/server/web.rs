@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 
 use axum::Router;
 use axum::extract::Path;
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use flate2::Compression;
@@ -124,6 +124,25 @@ fn send(path: &str, headers: HeaderMap) -> Response {
     }
 }
 
+/// The redirection of a browser that opened a path of no route, e.g. `/models/ID`, to the page of that path in the web app, `/#/models/ID`.
+/// `None` for paths of the API and for other clients, which do not ask for HTML.
+pub(super) fn redirect(method: &Method, uri: &Uri, headers: &HeaderMap) -> Option<Response> {
+    let asks_for_html = headers
+        .get_all(header::ACCEPT)
+        .iter()
+        .any(|value| value.to_str().is_ok_and(|text| text.contains("text/html")));
+    let path = uri.path().trim_start_matches('/');
+    if *method != Method::GET || !asks_for_html || path.starts_with("v1/") {
+        return None;
+    }
+    // Relative to the path, so that it also works below a path of a proxy.
+    let root = match uri.path().matches('/').count() {
+        0 | 1 => "./".to_owned(),
+        depth => "../".repeat(depth - 1),
+    };
+    Some((StatusCode::SEE_OTHER, [(header::LOCATION, format!("{root}#/{path}"))]).into_response())
+}
+
 fn gzip(bytes: &[u8]) -> Option<Vec<u8>> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
     encoder.write_all(bytes).ok()?;
@@ -152,6 +171,25 @@ mod tests {
         assert!(accepts("gzip") && accepts("br, GZIP;q=0.5") && accepts("deflate,gzip, zstd"));
         assert!(!accepts("br") && !accepts("gzip;q=0, br") && !accepts("gzip;q=0.0") && !accepts("xgzip"));
         assert!(!accepts_gzip(&HeaderMap::new()));
+    }
+
+    #[test]
+    fn only_browsers_are_redirected_from_unknown_paths() {
+        let location = |method: Method, path: &'static str, accept: &str| {
+            let headers = HeaderMap::from_iter([(header::ACCEPT, accept.parse().unwrap())]);
+            let response = redirect(&method, &Uri::from_static(path), &headers)?;
+            Some(response.headers()[header::LOCATION].to_str().unwrap().to_owned())
+        };
+        let browser = "text/html,application/xhtml+xml,*/*;q=0.8";
+        assert_eq!(location(Method::GET, "/models/a1", browser).as_deref(), Some("../#/models/a1"));
+        assert_eq!(location(Method::GET, "/nothing", browser).as_deref(), Some("./#/nothing"));
+        assert_eq!(
+            location(Method::GET, "//evil.example/", browser).as_deref(),
+            Some("../../#/evil.example/")
+        );
+        assert_eq!(location(Method::GET, "/models/a1", "*/*"), None);
+        assert_eq!(location(Method::GET, "/v1/nothing", browser), None);
+        assert_eq!(location(Method::POST, "/models/a1", browser), None);
     }
 
     #[test]

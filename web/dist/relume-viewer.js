@@ -1,1 +1,1 @@
-export{t as RelumeViewer}from"./assets/element-C0yDN6j8.js";
+export{t as RelumeViewer}from"./assets/element-Cn32943D.js";

@@ -1,3 +1,4 @@
+import { Head } from './components/common'
 import { KeyDialog } from './components/key'
 import { Theme } from './components/theme'
 import { CapturePage } from './pages/capture'
@@ -7,6 +8,7 @@ import { JobPage } from './pages/job'
 import { JobsPage } from './pages/jobs'
 import { ModelPage } from './pages/model'
 import { ModelsPage } from './pages/models'
+import { useTitle } from './hooks'
 import { link, usePlace, type Place } from './router'
 
 const SECTIONS = [['captures', 'Captures'], ['jobs', 'Jobs'], ['models', 'Models']] as const
@@ -41,6 +43,16 @@ function Page({ at: { path: [section = 'captures', id], query } }: { at: Place }
     case 'models':
       return id ? <ModelPage key={id} id={id} query={query} /> : <ModelsPage />
     default:
-      return <p class="card empty">There is no such page. <a href={link(['captures'])}>Captures</a></p>
+      return <NoPage />
   }
+}
+
+function NoPage() {
+  useTitle('No such page')
+  return (
+    <>
+      <Head title="There is no such page" note="The link is incomplete, or it is for another server." />
+      <p class="row"><a class="button primary" href={link(['captures'])}>Captures</a><a class="button" href={link(['models'])}>Models</a></p>
+    </>
+  )
 }

@@ -17,6 +17,7 @@ declare module 'preact' {
         elevation?: number
         distance?: number
         fov?: number
+        target?: string
         apiKey?: string | undefined
       }
     }

@@ -1,17 +1,19 @@
+import type { RefObject } from 'preact'
 import { useCallback, useEffect, useRef, useState } from 'preact/hooks'
-import { ask, get, message, send } from './api/client'
+import { ask, get, send } from './api/client'
+import { explain, type Trouble } from './api/trouble'
 
 /** Data from the API: undefined at first, then the data or an error message. */
 export interface Loaded<T> {
   data: T | undefined
-  error: string | undefined
+  error: Trouble | undefined
   /** Loads again; the current data stays until then. */
   reload: () => void
 }
 
 /** Loads a path, and reloads it every `every` milliseconds if that is given. */
 export function useLoaded<T>(path: string | undefined, every?: number): Loaded<T> {
-  const [state, setState] = useState<{ path?: string | undefined; data?: T; error?: string }>({})
+  const [state, setState] = useState<{ path?: string | undefined; data?: T; error?: Trouble }>({})
   const [round, setRound] = useState(0)
   useEffect(() => {
     if (!path) return
@@ -19,7 +21,7 @@ export function useLoaded<T>(path: string | undefined, every?: number): Loaded<T
     get<T>(path, stop.signal).then(
       (data) => setState({ path, data }),
       (error: unknown) => {
-        if (!stop.signal.aborted) setState((before) => ({ ...before, path, error: message(error) }))
+        if (!stop.signal.aborted) setState((before) => ({ ...before, path, error: explain(error) }))
       },
     )
     const timer = every ? setTimeout(() => setRound((n) => n + 1), every) : undefined
@@ -47,6 +49,19 @@ export function useText(path: string, every?: number): string {
     }
   }, [path, round, every])
   return text
+}
+
+/** Whether an element has been near the window. Its content can wait until then. */
+export function useSeen<E extends Element>(): [RefObject<E | null>, boolean] {
+  const element = useRef<E>(null)
+  const [isSeen, setSeen] = useState(false)
+  useEffect(() => {
+    if (!element.current || isSeen) return
+    const watch = new IntersectionObserver(([entry]) => entry?.isIntersecting && setSeen(true), { rootMargin: '200px' })
+    watch.observe(element.current)
+    return () => watch.disconnect()
+  }, [isSeen])
+  return [element, isSeen]
 }
 
 /** An object URL of an image that needs an API key; undefined until the image has arrived. */

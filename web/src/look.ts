@@ -33,7 +33,7 @@ const API_OUTPUTS: Record<string, string> = { metalness: 'metallic', ao: 'visibi
 
 /** Names of the camera parameters in a URL. */
 const VIEW = ['azimuth', 'elevation', 'distance', 'fov'] as const
-export type ViewAttributes = Partial<Record<(typeof VIEW)[number], number>>
+export type ViewAttributes = Partial<Record<(typeof VIEW)[number], number>> & { target?: string }
 
 export function readLook(query: URLSearchParams): Look {
   const number = (name: string) => Number(query.get(name)) || 0
@@ -48,14 +48,26 @@ export function readLook(query: URLSearchParams): Look {
 
 export function readView(query: URLSearchParams): ViewAttributes {
   const given = VIEW.filter((name) => query.has(name) && Number.isFinite(Number(query.get(name))))
-  return Object.fromEntries(given.map((name) => [name, Number(query.get(name))]))
+  const target = query.get('target')
+  return { ...Object.fromEntries(given.map((name) => [name, Number(query.get(name))])), ...(target ? { target } : {}) }
 }
 
-/** The URL query that restores a look and a view. Default values are left out. */
-export function written(look: Look, view: View | undefined): Record<string, string> {
+/** A point with a thousandth of the distance of the camera as its precision. */
+function rounded(point: number[], { distance }: View): number[] {
+  const digits = Math.min(20, Math.max(0, 3 - Math.floor(Math.log10(distance))))
+  return point.map((value) => Number(value.toFixed(digits)))
+}
+
+/** The URL query that restores a look and a view, with rounded numbers. Default values are left out, and so is `centre`, the target of the first view. */
+export function written(look: Look, view: View | undefined, centre: View['target'] | undefined): Record<string, string> {
   const query: Record<string, string> = {}
   for (const [name, value] of Object.entries(look)) if (value !== PLAIN[name as keyof Look]) query[name] = String(value)
-  if (view) for (const name of VIEW) query[name] = String(Number(view[name].toPrecision(5)))
+  if (view) {
+    for (const name of ['azimuth', 'elevation', 'fov'] as const) query[name] = String(Math.round(10 * view[name]) / 10)
+    const round = (value: number) => String(Number(value.toPrecision(3)))
+    query.distance = round(view.distance)
+    if (String(view.target) !== String(centre)) query.target = rounded(view.target, view).join()
+  }
   return query
 }
 
@@ -72,8 +84,7 @@ export function environment(look: Look, builtin: string[]): NonNullable<RenderRe
 
 /** The render request for the picture of a viewer. */
 export function requestOf(look: Look, view: View, builtin: string[], [width, height]: [number, number]): RenderRequest {
-  const eye = view.eye.map((value) => Number(value.toPrecision(6)))
-  const camera = { look_at: { eye, target: view.target, up: [0, 0, 1], fov_y_deg: view.fov } }
+  const camera = { look_at: { eye: rounded(view.eye, view), target: rounded(view.target, view), up: [0, 0, 1], fov_y_deg: Number(view.fov.toFixed(2)) } }
   return { camera, environment: environment(look, builtin), width, height, outputs: [API_OUTPUTS[look.output] ?? look.output], background: backgroundOf(look) }
 }
 
@@ -87,6 +98,13 @@ export const TAKEN = {
   relit: 'PLY, as lit here',
   mesh: 'Mesh with textures (.glb)',
 } as const
+
+/** What an export shows, for the list of exports. */
+export function exportName(what: keyof typeof TAKEN, light: string, frames: number, side: number): string {
+  const name = TAKEN[what].replace(/ \(.*\)$/, '')
+  if (what === 'video' || what === 'frames') return `${name}, ${frames} frames, ${side} × ${side} px, ${light}`
+  return what === 'relit' ? `PLY, ${light}` : name
+}
 
 /** The request for an export under the light of a look. A turntable begins at the camera of the view. */
 export function exportOf(what: keyof typeof TAKEN, look: Look, view: View | undefined, builtin: string[], frames: number, side: number): NewExport {

@@ -49,7 +49,7 @@ pub struct UploadView {
     pub capture: Option<CaptureId>,
 }
 
-/// Source of a capture: exactly one of `upload` and `url`.
+/// Source of a capture: exactly one of `upload`, `url` and `sample`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[derive(utoipa::ToSchema)]
@@ -63,6 +63,10 @@ pub struct CaptureSource {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(max_length = 2048)]
     pub url: Option<String>,
+    /// True: a small synthetic capture that the server renders, to try the service without photographs. It is
+    /// the file that `relume sample` writes.
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub sample: bool,
     /// Expected SHA-256 of the file, 64 hex digits. The server refuses a file with another hash. Omitted: any
     /// file.
     #[serde(skip_serializing_if = "Option::is_none", default)]

@@ -6,15 +6,14 @@ const KEY = 'relume-api-key'
 /** An error response of the server, with the server's message. */
 export class Refused extends Error {
   readonly status: number
-  /** The kind of error, e.g. `not-found`. */
-  readonly kind: string
+  readonly problem: Problem | null
   /** Seconds after which the client may retry. */
   readonly retryAfter: number | undefined
 
   constructor(status: number, problem: Problem | null, retryAfter?: number) {
     super(problem?.detail ?? problem?.title ?? `the server answered ${status}`)
     this.status = status
-    this.kind = problem?.type.split(':').pop() ?? ''
+    this.problem = problem
     this.retryAfter = retryAfter
   }
 }
@@ -57,6 +56,9 @@ export function authorization(): Record<string, string> {
 /** Sends a request and returns the response, whatever its status. If the server requires a valid key, asks the user for one and retries. */
 export async function send(path: string, init: RequestInit = {}): Promise<Response> {
   for (;;) {
+    // While the dialog asks for a key, a request without one would only be refused again.
+    if (asking) await asking
+    init.signal?.throwIfAborted()
     const sent = apiKey()
     const answer = await fetch(address(path), { ...init, headers: { ...authorization(), ...init.headers } })
     if (answer.status !== 401) return answer
@@ -90,14 +92,13 @@ export async function post<T>(path: string, body?: unknown, headers: Record<stri
   return (await ask(path, { method: 'POST', ...json })).json() as Promise<T>
 }
 
+/** Changes fields of a resource by a JSON merge patch. @throws {Refused} */
+export async function patch<T>(path: string, body: unknown): Promise<T> {
+  const init = { method: 'PATCH', body: JSON.stringify(body), headers: { 'Content-Type': 'application/json' } }
+  return (await ask(path, init)).json() as Promise<T>
+}
+
 /** @throws {Refused} */
 export async function remove(path: string): Promise<void> {
   await ask(path, { method: 'DELETE' })
-}
-
-/** The message of an error for the user. */
-export function message(error: unknown): string {
-  if (error instanceof Refused) return error.message
-  if (error instanceof TypeError) return 'the server cannot be reached'
-  return error instanceof Error ? error.message : String(error)
 }

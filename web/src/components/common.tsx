@@ -1,4 +1,6 @@
 import type { ComponentChildren } from 'preact'
+import { useEffect, useRef, useState } from 'preact/hooks'
+import { explain, GONE, type Trouble } from '../api/trouble'
 import { usePicture } from '../hooks'
 
 /** An image from an API path. */
@@ -11,22 +13,85 @@ export function Badge({ state }: { state: string }) {
   return <span class={`badge ${state}`}>{state}</span>
 }
 
-/** An error message, which screen readers announce immediately. */
-export function Failure({ error }: { error: string | undefined }) {
-  return <div role="alert">{error ? <p class="notice bad">{error}</p> : null}</div>
+/** An error, which screen readers announce immediately: what happened, what to do, and the server's own message behind *Details*. */
+export function Failure({ error, retry }: { error: Trouble | undefined; retry?: () => void }) {
+  return (
+    <div role="alert">
+      {error ? (
+        <div class="notice bad stack tight">
+          <p><strong>{error.what}</strong>{error.remedy ? ` ${error.remedy}` : ''}</p>
+          {error.detail ? <details><summary>Details</summary><p class="said small">{error.detail}</p></details> : null}
+          {retry ? <div class="row"><button type="button" onClick={retry}>Try again</button></div> : null}
+        </div>
+      ) : null}
+    </div>
+  )
+}
+
+/** The content of a page whose resource could not be loaded. */
+export function Missing(props: { what: string; back: { to: string; label: string }; error: Trouble; retry: () => void }) {
+  const isGone = props.error.what === GONE
+  const error = isGone ? { ...props.error, what: `This server has no such ${props.what}.` } : props.error
+  return (
+    <>
+      <Head title={isGone ? `No such ${props.what}` : `The ${props.what} is not shown`} back={props.back} />
+      <div class="stack">
+        <Failure error={error} {...(isGone ? {} : { retry: props.retry })} />
+        <p><a class="button" href={props.back.to}>Show all {props.back.label.toLowerCase()}</a></p>
+      </div>
+    </>
+  )
+}
+
+interface HeadProps {
+  title: string
+  back?: { to: string; label: string }
+  badge?: string | undefined
+  note?: ComponentChildren
+  /** Stores a new name. Without it the title cannot be changed. */
+  rename?: ((name: string) => Promise<unknown>) | undefined
+  children?: ComponentChildren
 }
 
 /** The header of a page. */
-export function Head(props: { title: string; back?: { to: string; label: string }; badge?: string | undefined; note?: ComponentChildren; children?: ComponentChildren }) {
+export function Head(props: HeadProps) {
   return (
     <header class="head">
       <div>
         {props.back ? <a class="crumb" href={props.back.to}>← {props.back.label}</a> : null}
-        <div class="row"><h1>{props.title}</h1>{props.badge ? <Badge state={props.badge} /> : null}</div>
+        <div class="row">{props.rename ? <Named title={props.title} rename={props.rename} /> : <h1>{props.title}</h1>}{props.badge ? <Badge state={props.badge} /> : null}</div>
         {props.note ? <p>{props.note}</p> : null}
       </div>
       {props.children ? <div class="row" style={{ flex: '0 1 auto' }}>{props.children}</div> : null}
     </header>
+  )
+}
+
+/** A title that the user can change in place. */
+function Named({ title, rename }: { title: string; rename: (name: string) => Promise<unknown> }) {
+  const [draft, setDraft] = useState<string>()
+  const [error, setError] = useState<Trouble>()
+  const input = useRef<HTMLInputElement>(null)
+  const isEditing = draft !== undefined
+  useEffect(() => input.current?.select(), [isEditing])
+  const store = (event: SubmitEvent) => {
+    event.preventDefault()
+    const name = draft?.trim()
+    if (!name || name === title) return setDraft(undefined)
+    rename(name).then(() => {
+      setError(undefined)
+      setDraft(undefined)
+    }, (failure: unknown) => setError(explain(failure)))
+  }
+  if (!isEditing) return <><h1>{title}</h1><button type="button" class="quiet" onClick={() => setDraft(title)}>Rename</button></>
+  return (
+    <form class="row naming" onSubmit={store} onKeyDown={(event) => event.key === 'Escape' && setDraft(undefined)}>
+      <h1 class="skip">{title}</h1>
+      <input aria-label="Name" value={draft} maxLength={200} ref={input} onInput={(event) => setDraft(event.currentTarget.value)} />
+      <button type="submit" class="primary">Save the name</button>
+      <button type="button" class="quiet" onClick={() => setDraft(undefined)}>Keep the old one</button>
+      <Failure error={error} />
+    </form>
   )
 }
 

@@ -1,7 +1,8 @@
 import { useEffect, useRef, useState } from 'preact/hooks'
-import { get, message } from '../api/client'
+import { get, post } from '../api/client'
+import { explain, type Trouble } from '../api/trouble'
 import type { Capture } from '../api/types'
-import { selection, upload, type Dropped, type Selection } from '../api/upload'
+import { nameOf, selection, upload, type Dropped, type Selection } from '../api/upload'
 import { filesIn, filesOf } from '../dropped'
 import { bytes } from '../format'
 import { photographsOf } from '../photos'
@@ -18,29 +19,43 @@ interface Sending {
   total: number
 }
 
-/** Accepts a capture: an archive, a folder, or photographs with their poses. */
+/** Accepts a capture: photographs, a folder or an archive, with or without camera positions. */
 export function DropZone({ onDone }: { onDone: (capture: Capture) => void }) {
   const [over, setOver] = useState(false)
   const [sending, setSending] = useState<Sending>()
   const [photographs, setPhotographs] = useState<Dropped[]>([])
-  const [error, setError] = useState<string>()
+  const [error, setError] = useState<Trouble>()
+  const [again, setAgain] = useState<() => void>()
   const stop = useRef<AbortController | undefined>(undefined)
   const archive = useRef<HTMLInputElement>(null)
   const folder = useRef<HTMLInputElement>(null)
 
-  const take = async (dropped: Dropped[] | Promise<Dropped[]>) => {
+  const work = async (making: (signal: AbortSignal) => Promise<Capture>) => {
     setError(undefined)
-    stop.current = new AbortController()
+    const begun = new AbortController()
+    stop.current = begun
     try {
-      const what = selection(await dropped)
-      setPhotographs(photographsOf(what))
-      onDone(await send(what, stop.current.signal, setSending))
+      onDone(await making(begun.signal))
     } catch (failure) {
-      if (!stop.current.signal.aborted) setError(message(failure))
+      if (!begun.signal.aborted) setError(explain(failure))
     } finally {
       setSending(undefined)
       setPhotographs([])
     }
+  }
+  const take = (dropped: Dropped[] | Promise<Dropped[]>) => {
+    const taken = async (signal: AbortSignal) => {
+      const what = selection(await dropped)
+      setPhotographs(photographsOf(what))
+      return send(what, signal, setSending)
+    }
+    setAgain(() => () => void work(taken))
+    return work(taken)
+  }
+  const sample = () => {
+    setAgain(() => () => void sample())
+    setSending({ what: 'The server makes the sample', sent: 1, total: 1 })
+    return work(() => post<Capture>('v1/captures?name=Sample', { sample: true }))
   }
 
   return (
@@ -59,32 +74,51 @@ export function DropZone({ onDone }: { onDone: (capture: Capture) => void }) {
       }}
     >
       {sending ? <Progress of={sending} onStop={() => stop.current?.abort()} /> : (
-        <>
-          <h2>Drop a capture here</h2>
-          <p class="muted">A folder or a zip, or photographs with their poses: COLMAP files or a <code>transforms.json</code>. Photographs alone, where the server has COLMAP.</p>
-          <div class="row">
-            <button class="primary" type="button" onClick={() => archive.current?.click()}>Choose files or a zip</button>
-            <button type="button" onClick={() => folder.current?.click()}>Choose a folder</button>
-          </div>
-        </>
+        <Invitation onFiles={() => archive.current?.click()} onFolder={() => folder.current?.click()} onSample={() => void sample()} />
       )}
-      <input ref={archive} type="file" multiple hidden aria-label="Files of a capture" onChange={(event) => void take(filesIn(event.currentTarget.files))} />
-      <input ref={folder} type="file" {...{ webkitdirectory: true }} hidden aria-label="Folder of a capture" onChange={(event) => void take(filesIn(event.currentTarget.files))} />
+      <input ref={archive} type="file" multiple hidden aria-label="Files of a capture" onChange={(event) => void take(chosen(event.currentTarget))} />
+      <input ref={folder} type="file" {...{ webkitdirectory: true }} hidden aria-label="Folder of a capture" onChange={(event) => void take(chosen(event.currentTarget))} />
       {photographs.length ? <Photographs of={photographs} /> : null}
-      <Failure error={error} />
+      <Failure error={error} {...(again ? { retry: again } : {})} />
     </section>
+  )
+}
+
+/** The files of an input, which is then empty: browsers report the choice of a changed file with the same name only then. */
+function chosen(input: HTMLInputElement): Dropped[] {
+  const files = filesIn(input.files)
+  input.value = ''
+  return files
+}
+
+/** What can be dropped, and the buttons for those who do not drop. */
+function Invitation({ onFiles, onFolder, onSample }: { onFiles: () => void; onFolder: () => void; onSample: () => void }) {
+  return (
+    <>
+      <h2>Drop photographs here</h2>
+      <p class="muted">30 or more photographs of one thing, taken from all sides. The server finds out where each was taken, which needs COLMAP on it.</p>
+      <div class="row">
+        <button class="primary" type="button" onClick={onFiles}>Choose photographs or a zip</button>
+        <button type="button" onClick={onFolder}>Choose a folder</button>
+        <button type="button" onClick={onSample}>Try the sample</button>
+      </div>
+      <details class="left">
+        <summary>If you already know the camera positions</summary>
+        <p class="small muted">Send them with the photographs, in one zip or folder: COLMAP files, or a <code>transforms.json</code> as NeRF programs write it. The server then needs no COLMAP.</p>
+      </details>
+    </>
   )
 }
 
 /** Uploads a capture, then waits until the server has validated it. */
 async function send(what: Selection, signal: AbortSignal, tell: (sending: Sending) => void): Promise<Capture> {
-  const name = 'archive' in what ? what.archive.name.replace(/\.(zip|tar|tgz|tar\.gz)$/i, '') : ''
+  const name = nameOf(what)
   const label = 'archive' in what ? what.archive.name : `${what.files.length} files`
   tell({ what: `Uploading ${label}`, sent: 0, total: 1 })
-  let capture = await upload(what, name, (sent, total) => tell({ what: sent < total ? `Uploading ${label}` : 'Validating', sent, total }), signal)
+  let capture = await upload(what, name, (sent, total) => tell({ what: sent < total ? `Uploading ${label}` : 'Checking the files', sent, total }), signal)
   // The search for poses takes long; the page of the capture shows its progress.
   while (capture.state === 'validating' && !capture.poses) {
-    tell({ what: 'Validating', sent: 1, total: 1 })
+    tell({ what: 'Checking the files', sent: 1, total: 1 })
     await new Promise((done) => setTimeout(done, POLL))
     signal.throwIfAborted()
     capture = await get<Capture>(`v1/captures/${capture.id}`)
@@ -101,10 +135,10 @@ function Progress({ of: { what, sent, total }, onStop }: { of: Sending; onStop: 
       <h2>{what}</h2>
       <progress value={sent} max={total} aria-label={what} />
       <div class="row">
-        <span class="muted small">{total > 1 ? `${bytes(sent)} of ${bytes(total)}` : 'the server reads the capture'}</span>
+        <span class="muted small">{total > 1 ? `${bytes(sent)} of ${bytes(total)}` : 'This takes some seconds'}</span>
         <button type="button" onClick={onStop}>Stop</button>
       </div>
-      <p class="hint">A zip that breaks off goes on where it was: drop the same file again.</p>
+      {total > 1 ? <p class="hint">If the upload of a zip breaks off, drop the same file again: the upload continues where it was.</p> : null}
       <span aria-live="polite" class="skip">{spoken}</span>
     </div>
   )

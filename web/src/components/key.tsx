@@ -31,7 +31,7 @@ export function KeyDialog() {
           <label for="key">API key</label>
           <input id="key" name="key" type="password" required autocomplete="off" placeholder="rlm_…" />
         </div>
-        <p class="hint"><code>relume keys create --name me</code> makes one. It is kept in this tab and sent to this server alone.</p>
+        <p class="hint">The operator of the server gives you a key; <code>relume keys create --name me</code> makes one. This tab keeps it until you close it and sends it to this server alone.</p>
         <div class="row"><button class="primary" type="submit">Continue</button></div>
       </form>
     </dialog>

@@ -1,12 +1,13 @@
 import { useRef, useState } from 'preact/hooks'
-import { ask, message } from '../api/client'
+import { ask } from '../api/client'
+import { explain, type Trouble } from '../api/trouble'
 import type { Environment, Environments } from '../api/types'
 import { called } from '../format'
 import { Failure, Picture } from './common'
 
 /** Selects the light of a model. Each option shows the model under that light. */
 export function Lights(props: { model: string; value: string; lights: Environments | undefined; onChange: (light: string) => void; onAdded: () => void }) {
-  const [error, setError] = useState<string>()
+  const [error, setError] = useState<Trouble>()
   const [busy, setBusy] = useState(false)
   const input = useRef<HTMLInputElement>(null)
   const uploaded = props.lights?.items ?? []
@@ -24,7 +25,7 @@ export function Lights(props: { model: string; value: string; lights: Environmen
       props.onAdded()
       props.onChange(light.id)
     } catch (failure) {
-      setError(message(failure))
+      setError(explain(failure))
     } finally {
       setBusy(false)
     }

@@ -1,13 +1,16 @@
 import { useEffect, useState } from 'preact/hooks'
-import { address, apiKey, message, post, remove } from '../api/client'
+import { address, apiKey, post, remove } from '../api/client'
+import { explain, type Trouble } from '../api/trouble'
 import type { Environments, Export, Listed, SignedUrl } from '../api/types'
-import { bytes } from '../format'
+import { bytes, called, spoken } from '../format'
 import { useLoaded } from '../hooks'
-import { exportOf, TAKEN, type Look, type View } from '../look'
+import { exportName, exportOf, TAKEN, type Look, type View } from '../look'
 import { Badge, Failure } from './common'
 
 type Taken = keyof typeof TAKEN
 
+/** Names of the exports of this browser in local storage, by their identifiers. The server does not record the light and the size. */
+const LABEL = 'relume-export-'
 /** Interval between two requests for an unfinished export, milliseconds. */
 const EVERY = 1500
 
@@ -16,7 +19,7 @@ export function TakeAlong({ model, look, view, lights }: { model: string; look: 
   const [what, setWhat] = useState<Taken>('frames')
   const [frames, setFrames] = useState(60)
   const [side, setSide] = useState(512)
-  const [error, setError] = useState<string>()
+  const [error, setError] = useState<Trouble>()
   const [isMaking, setMaking] = useState(false)
   const made = useLoaded<Listed<Export>>(`v1/exports?limit=8&model=${encodeURIComponent(model)}`, isMaking ? EVERY : undefined)
   const exports = made.data?.items ?? []
@@ -25,10 +28,12 @@ export function TakeAlong({ model, look, view, lights }: { model: string; look: 
   const act = (work: Promise<unknown>) => work.then(() => {
     setError(undefined)
     made.reload()
-  }, (failure: unknown) => setError(message(failure)))
+  }, (failure: unknown) => setError(explain(failure)))
   const start = (event: Event) => {
     event.preventDefault()
-    void act(post<Export>(`v1/models/${encodeURIComponent(model)}/exports`, exportOf(what, look, view, lights?.builtin ?? [], frames, side)))
+    const label = exportName(what, nameOfLight(look, lights), frames, side)
+    const made = post<Export>(`v1/models/${encodeURIComponent(model)}/exports`, exportOf(what, look, view, lights?.builtin ?? [], frames, side))
+    void act(made.then(({ id }) => localStorage.setItem(LABEL + id, label)))
   }
   const isTurntable = what === 'frames' || what === 'video'
   return (
@@ -64,18 +69,33 @@ function Whole({ id, label, value, least, most, onInput }: { id: string; label: 
   )
 }
 
+function nameOfLight({ light, rotation }: Look, lights: Environments | undefined): string {
+  const uploaded = lights?.items.find(({ id }) => id === light)
+  const name = light === 'recovered' ? 'captured light' : uploaded ? called(uploaded, 'Light') : light
+  return rotation ? `${name} turned by ${rotation}°` : name
+}
+
+/** How long an export still takes, from the frames that it has made. */
+function timeLeft({ started_at, progress: { done, total } }: Export): string {
+  const passed = started_at ? (Date.now() - Date.parse(started_at)) / 1000 : 0
+  return done > 0 && total > 1 ? `about ${spoken((passed / done) * (total - done))} left` : 'some seconds'
+}
+
 /** One export: its progress or its file. */
-function Made({ of: { id, kind, state, progress, file, error }, onAct }: { of: Export; onAct: (work: Promise<unknown>) => void }) {
+function Made({ of, onAct }: { of: Export; onAct: (work: Promise<unknown>) => void }) {
+  const { id, kind, state, progress, file, error } = of
+  const name = localStorage.getItem(LABEL + id) ?? kind
+  const discard = () => remove(`v1/exports/${id}`).then(() => localStorage.removeItem(LABEL + id))
   const isOver = state !== 'queued' && state !== 'running'
   return (
     <li class="stack">
       <div class="row">
-        {file ? <button type="button" onClick={() => onAct(download(file.href))}>↓ {kind}</button> : <span>{kind}</span>}
+        {file ? <button type="button" onClick={() => onAct(download(file.href))}>↓ {name}</button> : <span>{name}</span>}
         {file ? <span class="muted small">{bytes(file.bytes)}</span> : <Badge state={state} />}
-        <button type="button" class="quiet" aria-label={`${isOver ? 'Delete' : 'Cancel'} ${kind}`} onClick={() => onAct(remove(`v1/exports/${id}`))}>{isOver ? 'Delete' : 'Cancel'}</button>
+        <button type="button" class="quiet" aria-label={`${isOver ? 'Delete' : 'Cancel'} ${name}`} onClick={() => onAct(discard())}>{isOver ? 'Delete' : 'Cancel'}</button>
       </div>
-      {state === 'running' ? <progress aria-label={`${kind}: ${progress.done} of ${progress.total}`} value={progress.done} max={progress.total} /> : null}
-      {error ? <p class="small muted">{error.detail}</p> : null}
+      {state === 'running' ? <><progress aria-label={`${name}: ${progress.done} of ${progress.total}`} value={progress.done} max={progress.total} /><span class="hint">{timeLeft(of)}</span></> : null}
+      {error ? <Failure error={{ what: 'The export failed.', remedy: 'Delete it and make it again.', detail: error.detail }} /> : null}
     </li>
   )
 }

@@ -1,5 +1,6 @@
 import { useEffect, useState } from 'preact/hooks'
-import { ask, message } from '../api/client'
+import { ask } from '../api/client'
+import { explain, type Trouble } from '../api/trouble'
 import type { Environments, Photograph, Photographs, RenderRequest } from '../api/types'
 import { useLoaded } from '../hooks'
 import { requestAt, type Look } from '../look'
@@ -66,8 +67,8 @@ function useTaken(of: Photograph | undefined): { url?: string; isMissing?: boole
 }
 
 /** The frame of a request. The previous frame stays until the new one has arrived. */
-function useFrame(model: string, request: RenderRequest | undefined): { url?: string; error?: string } {
-  const [shown, setShown] = useState<{ url?: string; error?: string }>({})
+function useFrame(model: string, request: RenderRequest | undefined): { url?: string; error?: Trouble } {
+  const [shown, setShown] = useState<{ url?: string; error?: Trouble }>({})
   const body = request ? JSON.stringify(request) : undefined
   useEffect(() => {
     if (!body) return
@@ -77,7 +78,7 @@ function useFrame(model: string, request: RenderRequest | undefined): { url?: st
         .then((answer) => answer.blob())
         .then((blob) => setShown({ url: URL.createObjectURL(blob) }))
         .catch((error: unknown) => {
-          if (!stop.signal.aborted) setShown({ error: message(error) })
+          if (!stop.signal.aborted) setShown({ error: explain(error) })
         })
     }, 250)
     return () => {

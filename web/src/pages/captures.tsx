@@ -1,7 +1,8 @@
 import type { Capture, Listed, Upload } from '../api/types'
 import { Badge, Failure, Head } from '../components/common'
+import { Cover } from '../components/cover'
 import { DropZone } from '../components/dropzone'
-import { bytes, called, moment } from '../format'
+import { called, moment } from '../format'
 import { useLoaded, useTitle } from '../hooks'
 import { go, link } from '../router'
 
@@ -11,12 +12,12 @@ export function CapturesPage() {
   const items = captures.data?.items
   return (
     <>
-      <Head title="Captures" note="Photographs with known cameras. What a model is trained from." />
+      <Head title="Captures" note="The photographs of one thing. The server makes a model of them that can be shown in any light." />
       <div class="stack">
         <DropZone onDone={(capture) => go(link(['captures', capture.id]))} />
-        <Failure error={captures.error} />
+        <Failure error={captures.error} retry={captures.reload} />
         <Unmade />
-        {items?.length ? <Table of={items} /> : items ? <p class="empty">No captures yet. <code>relume sample capture.zip</code> writes a small one to try.</p> : null}
+        {items?.length ? <Tiles of={items} /> : items ? <p class="empty">No captures yet. <em>Try the sample</em> makes a small one, so that you can look at everything without photographs.</p> : null}
       </div>
     </>
   )
@@ -29,35 +30,34 @@ function Unmade() {
   if (!unmade.length) return null
   return (
     <section class="card" aria-labelledby="unmade">
-      <h2 id="unmade">Being made</h2>
+      <h2 id="unmade">Not ready</h2>
       <ul class="notices">
-        {unmade.map((upload) => <li class="row" key={upload.id}><a href={link(['captures', upload.capture ?? ''])}>{upload.filename ?? moment(upload.created_at)}</a><Badge state={upload.state ?? 'complete'} /></li>)}
+        {unmade.map((upload) => <Row of={upload} key={upload.id} />)}
       </ul>
     </section>
   )
 }
 
-function Table({ of: captures }: { of: Capture[] }) {
+function Row({ of: { capture: id, filename, created_at, state } }: { of: Upload }) {
+  const capture = useLoaded<Capture>(id ? `v1/captures/${encodeURIComponent(id)}` : undefined)
+  return <li class="row"><a href={link(['captures', id ?? ''])}>{capture.data?.name ?? filename ?? moment(created_at)}</a><Badge state={state ?? 'complete'} /></li>
+}
+
+function Tiles({ of: captures }: { of: Capture[] }) {
   return (
-    <section class="card" aria-labelledby="all-captures">
+    <section class="stack" aria-labelledby="all-captures">
       <h2 id="all-captures">All captures</h2>
-      <div class="scroll">
-        <table>
-          <thead><tr><th>Name</th><th>State</th><th class="number">Photographs</th><th class="number">Size</th><th>Layout</th><th>Added</th></tr></thead>
-          <tbody>
-            {captures.map((capture) => (
-              <tr key={capture.id}>
-                <td><a href={link(['captures', capture.id])}>{called(capture, 'Capture')}</a></td>
-                <td><Badge state={capture.state ?? 'ready'} /></td>
-                <td class="number">{capture.report.train_images + capture.report.test_images}</td>
-                <td class="number">{bytes(capture.bytes)}</td>
-                <td>{capture.report.layout}</td>
-                <td class="muted">{moment(capture.created_at)}</td>
-              </tr>
-            ))}
-          </tbody>
-        </table>
-      </div>
+      <ul class="tiles">
+        {captures.map((capture) => (
+          <li class="tile" key={capture.id}>
+            <Cover capture={capture.id} />
+            <div class="text">
+              <a class="over" href={link(['captures', capture.id])}>{called(capture, 'Capture')}</a>
+              <p class="muted small">{capture.report.train_images + capture.report.test_images} photographs · {moment(capture.created_at)}</p>
+            </div>
+          </li>
+        ))}
+      </ul>
     </section>
   )
 }

@@ -1,6 +1,6 @@
 import type { Listed, ModelSummary } from '../api/types'
 import { Failure, Head, Picture } from '../components/common'
-import { called, count, moment } from '../format'
+import { called, moment } from '../format'
 import { useLoaded, useTitle } from '../hooks'
 import { link } from '../router'
 
@@ -10,16 +10,16 @@ export function ModelsPage() {
   const items = models.data?.items
   return (
     <>
-      <Head title="Models" note="Relightable: shown from any side, under any light." />
-      <Failure error={models.error} />
-      {items && !items.length ? <p class="card empty">No models yet. <a href={link(['captures'])}>Add a capture</a> and train one.</p> : null}
+      <Head title="Models" note="Look at a model from any side, in any light." />
+      <Failure error={models.error} retry={models.reload} />
+      {items && !items.length ? <p class="card empty">No models yet. <a href={link(['captures'])}>Add photographs, or try the sample</a>, and train one.</p> : null}
       <ul class="tiles">
         {items?.map((model) => (
           <li class="tile" key={model.id}>
             <div class="stage"><Picture path={`v1/models/${model.id}/thumbnail?size=320&env=studio`} alt="" /></div>
             <div class="text">
               <a class="over" href={link(['models', model.id])}>{called(model, 'Model')}</a>
-              <p class="muted small">{count(model.gaussians)} Gaussians · {moment(model.created_at)}</p>
+              <p class="muted small">{moment(model.created_at)}</p>
             </div>
           </li>
         ))}

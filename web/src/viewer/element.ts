@@ -2,7 +2,7 @@
 import type { Engine, EngineListener, ViewerMode } from './engine.js'
 import { Frames, type Look } from './frames'
 import { LiveView } from './live'
-import { eye, Orbit, type OrbitView } from './orbit.js'
+import { eye, fitted, Orbit, type OrbitView } from './orbit.js'
 import { PhotographedMap } from './photographed'
 import { ServedView } from './served'
 
@@ -15,9 +15,10 @@ export interface ViewDetail extends OrbitView {
 
 const SHEET = new CSSStyleSheet()
 SHEET.replaceSync(`
-  :host { display: block; position: relative; min-height: 8rem; touch-action: none; }
+  :host { display: block; position: relative; aspect-ratio: 4 / 3; min-height: 8rem; touch-action: pan-y; }
   :host(:focus-visible) { outline: 2px solid currentColor; outline-offset: 2px; }
-  img, canvas { display: block; width: 100%; height: 100%; object-fit: contain; user-select: none; }
+  img, canvas { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: contain; user-select: none; transition: opacity 0.15s; }
+  .waiting { opacity: 0.35; transition: opacity 0.3s 0.2s; }
   .photographed { position: absolute; right: 0.5rem; bottom: 0.5rem; width: 6rem; margin: 0; pointer-events: none; text-align: center; }
   .photographed svg { width: 4rem; height: 4rem; }
   .photographed figcaption { font: 0.7rem/1.2 system-ui, sans-serif; color: #fff; background: #000a; border-radius: 0.25rem; padding: 0.1rem 0.3rem; overflow-wrap: anywhere; }
@@ -33,6 +34,7 @@ const SPIN = 30
 const MOST_TURN = 3
 
 const NUMBERS = ['azimuth', 'elevation', 'distance', 'fov'] as const
+const CAMERA: readonly string[] = [...NUMBERS, 'target']
 
 /**
  * `<relume-viewer model="ID">`: shows a model of a Relume server. The page sets the light, and the user rotates the model.
@@ -40,16 +42,16 @@ const NUMBERS = ['azimuth', 'elevation', 'distance', 'fov'] as const
  * Attributes: `server`, `model`, `environment` (a built-in map, `recovered` or an identifier), `rotation` (degrees), `exposure` (stops),
  * `background` (`transparent`, `environment` or `#rrggbb`), `output` (`rgb`, `albedo`, `normal`, `roughness`, `metalness`, `ao`, `depth`),
  * `auto-rotate`, `photographed` (a map of the photographed directions), `azimuth` (degrees from the first photograph), `elevation` (degrees),
- * `distance` (capture units), `fov` (degrees, vertical).
- * Events: `relume-ready`, `relume-view`, `relume-mode`, `relume-error`.
+ * `distance` (capture units), `fov` (degrees, vertical), `target` (the point at which the camera looks: `x,y,z`, capture units).
+ * Events: `relume-ready`, `relume-view`, `relume-mode`, `relume-progress`, `relume-waiting`, `relume-error`.
  */
 export class RelumeViewer extends HTMLElement {
   static readonly observedAttributes = [
-    'server', 'model', 'environment', 'rotation', 'exposure', 'background', 'output', 'auto-rotate', 'photographed', ...NUMBERS,
+    'server', 'model', 'environment', 'rotation', 'exposure', 'background', 'output', 'auto-rotate', 'photographed', ...CAMERA,
   ]
 
   readonly #root = this.attachShadow({ mode: 'open' })
-  readonly #orbit = new Orbit(this, () => this.#moved())
+  readonly #orbit = new Orbit(this, { changed: () => this.#moved(), pick: (x, y) => this.#engine?.pick(this.camera(), x, y) })
   readonly #resized = new ResizeObserver(() => this.#draw(false))
   #frames: Frames | undefined
   #engine: Engine | undefined
@@ -76,7 +78,7 @@ export class RelumeViewer extends HTMLElement {
   connectedCallback(): void {
     if (!this.hasAttribute('tabindex')) this.tabIndex = 0
     if (!this.hasAttribute('role')) this.setAttribute('role', 'application')
-    if (!this.hasAttribute('aria-label')) this.setAttribute('aria-label', '3D view: turn with the arrow keys, approach with + and -')
+    if (!this.hasAttribute('aria-label')) this.setAttribute('aria-label', '3D view: turn with the arrow keys, move with Shift and the arrow keys, approach with + and -, Home resets')
     this.#orbit.listen()
     this.#resized.observe(this)
     void this.#open()
@@ -92,7 +94,7 @@ export class RelumeViewer extends HTMLElement {
     if (before === after || !this.isConnected) return
     if (name === 'model' || name === 'server') void this.#open()
     else {
-      if (NUMBERS.some((number) => number === name)) this.#readView()
+      if (CAMERA.includes(name)) this.#readView()
       this.#draw(false)
     }
   }
@@ -101,6 +103,11 @@ export class RelumeViewer extends HTMLElement {
   camera(): ViewDetail {
     const view = this.#orbit.view()
     return { ...view, eye: eye(view) }
+  }
+
+  /** Returns to the initial camera of the model. */
+  reset(): void {
+    this.#orbit.reset()
   }
 
   /** The current picture at full quality as a PNG. Rejects if no model is shown. */
@@ -139,7 +146,7 @@ export class RelumeViewer extends HTMLElement {
     const before = this.#engine
     this.#engine = engine
     // An engine that replaces another keeps the current camera.
-    if (!before) this.#orbit.set(engine.begin)
+    if (!before) this.#orbit.start(engine.photographed ? fitted(engine.begin, this.clientWidth / Math.max(1, this.clientHeight)) : engine.begin)
     before?.close()
     this.#map = undefined
     this.#root.replaceChildren(engine.node)
@@ -160,6 +167,10 @@ export class RelumeViewer extends HTMLElement {
       size: () => [this.clientWidth, this.clientHeight],
       ready: () => this.#fire('relume-ready', undefined),
       shown: () => this.#spin(),
+      loaded: (bytes, total) => {
+        if (this.#frames === frames) this.#fire('relume-progress', { bytes, total })
+      },
+      waiting: (isWaiting) => this.#wait(isWaiting),
       failed: (error) => this.#fail(error),
       lost: () => {
         if (this.#frames === frames) this.#begin(frames).catch((error: unknown) => this.#fail(error))
@@ -173,6 +184,8 @@ export class RelumeViewer extends HTMLElement {
       const value = this.getAttribute(name)
       if (value !== null && Number.isFinite(Number(value))) view[name] = Number(value)
     }
+    const target = this.getAttribute('target')?.split(',').map(Number)
+    if (target?.length === 3 && target.every(Number.isFinite)) view.target = target as OrbitView['target']
     this.#orbit.set(view)
   }
 
@@ -210,6 +223,14 @@ export class RelumeViewer extends HTMLElement {
     this.#engine?.draw(this.#look(), this.camera(), moving && this.hasAttribute('auto-rotate'))
   }
 
+  /** Dims the picture of the previous light until that of the chosen one has arrived. */
+  #wait(isWaiting: boolean): void {
+    const node = this.#engine?.node
+    if (!node || node.classList.contains('waiting') === isWaiting) return
+    node.classList.toggle('waiting', isWaiting)
+    this.#fire('relume-waiting', isWaiting)
+  }
+
   /** Rotates the camera by one step of `auto-rotate`. */
   #spin(): void {
     if (!this.hasAttribute('auto-rotate')) return
@@ -237,6 +258,8 @@ declare global {
     'relume-mode': CustomEvent<ViewerMode>
     'relume-ready': CustomEvent<unknown>
     'relume-view': CustomEvent<ViewDetail>
+    'relume-progress': CustomEvent<{ bytes: number; total: number | undefined }>
+    'relume-waiting': CustomEvent<boolean>
     'relume-error': CustomEvent<{ message: string }>
   }
 }

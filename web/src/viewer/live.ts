@@ -1,4 +1,5 @@
 import { cameraOf } from './camera'
+import { frontPoint } from './pick'
 import type { Engine, EngineListener } from './engine'
 import type { Frames, Look } from './frames'
 import { openDevice } from './gpu/device'
@@ -77,7 +78,7 @@ export class LiveView implements Engine {
         begun()
         view?.invalidate()
       })
-      const whole = frames.stream().then((answer) => readStream<ModelHeader>(answer, 'RLMG', model))
+      const whole = frames.stream().then((answer) => readStream<ModelHeader>(answer, 'RLMG', model, listener.loaded))
       // The view handles later errors of `whole`; this prevents an unhandled rejection.
       whole.catch(() => {})
       await Promise.race([beginning, whole])
@@ -96,6 +97,13 @@ export class LiveView implements Engine {
     this.#wish = { look, view }
     this.#lit(look)
     this.invalidate()
+  }
+
+  pick(view: OrbitView, x: number, y: number): [number, number, number] | undefined {
+    const { world_scale, world_offset } = this.#model.header
+    const camera = cameraOf(view, this.#listener.size(), world_scale, world_offset)
+    const found = frontPoint(camera, this.#model.means, this.#model.count, x, y)
+    return found && [found[0] / world_scale - world_offset[0], found[1] / world_scale - world_offset[1], found[2] / world_scale - world_offset[2]]
   }
 
   async snapshot(look: Look, view: OrbitView): Promise<Blob> {
@@ -129,6 +137,7 @@ export class LiveView implements Engine {
   #lit(look: Look): void {
     const key = keyOf(look)
     if ((this.#coming ?? this.#shown)?.key === key || this.#refused === key) return
+    if (this.#shown?.key === key) return this.#keep()
     this.#refused = ''
     this.#coming?.abort.abort()
     const abort = new AbortController()
@@ -142,8 +151,12 @@ export class LiveView implements Engine {
       .then((answer) => readStream<LightHeader>(answer, 'RLML', light))
     const lighting: Lighting = { key, light, abort, whole: loaded.then(() => this.#arrived(lighting)) }
     this.#coming = lighting
+    if (this.#shown) this.#listener.waiting(true)
     lighting.whole.catch((error: unknown) => {
-      if (this.#coming === lighting) this.#coming = undefined
+      if (this.#coming === lighting) {
+        this.#coming = undefined
+        this.#listener.waiting(false)
+      }
       if (this.#shown === lighting) this.#shown = undefined
       light.destroy()
       if (abort.signal.aborted || this.#closed) return
@@ -152,9 +165,17 @@ export class LiveView implements Engine {
     })
   }
 
+  /** Cancels the light that is coming, because the shown one was chosen again. */
+  #keep(): void {
+    this.#coming?.abort.abort()
+    this.#coming = undefined
+    this.#listener.waiting(false)
+  }
+
   async #arrived(lighting: Lighting): Promise<void> {
     if (this.#coming !== lighting) return
     this.#coming = undefined
+    this.#listener.waiting(false)
     const before = this.#shown
     this.#shown = lighting
     if (before && before !== lighting) before.light.destroy()
@@ -181,8 +202,8 @@ export class LiveView implements Engine {
   #pixels(): [number, number] {
     const most = this.#device.limits.maxTextureDimension2D
     const [width, height] = this.#listener.size()
-    const scale = window.devicePixelRatio || 1
-    const side = (size: number) => Math.min(most, Math.max(1, Math.round(size * scale)))
+    const scale = Math.min(window.devicePixelRatio || 1, most / Math.max(width, height, 1))
+    const side = (size: number) => Math.max(1, Math.round(size * scale))
     return [side(width), side(height)]
   }
 }

@@ -3,12 +3,16 @@ import type { Frames, Look } from './frames'
 import type { OrbitView } from './orbit'
 import { firstView, type PhotographedViews } from './photographed'
 
-/** Longest side of frames while the camera moves, pixels. */
+/** Sizes of frames, as the side of a square with as many pixels: while the camera moves, when it rests, and a while later. */
 const MOVING = 256
-/** Longest side of frames when the camera rests, pixels. */
 const RESTING = 1024
+const SHARPEST = 2560
+/** Longest side of a frame that the API renders, pixels. */
+const LONGEST = 4096
 /** Delay before the viewer requests a sharp frame after the last movement, milliseconds. */
 const SETTLE = 180
+/** Delay before the viewer requests the sharpest frame after a resting one, milliseconds. */
+const SHARPEN = 700
 
 interface Wish {
   look: Look
@@ -30,6 +34,8 @@ export class ServedView implements Engine {
   #ready = false
   /** The newest requested picture while a frame is being loaded. */
   #next: Wish | undefined
+  /** The light of the shown picture. */
+  #light = ''
 
   private constructor(frames: Frames, listener: EngineListener, begin: Partial<OrbitView>, photographed?: PhotographedViews) {
     this.#frames = frames
@@ -49,9 +55,13 @@ export class ServedView implements Engine {
 
   draw(look: Look, view: OrbitView, moving: boolean): void {
     clearTimeout(this.#timer)
+    if (this.#ready) this.#listener.waiting(lightOf(look) !== this.#light)
     this.#ask({ look, view, most: this.#ready ? MOVING : RESTING })
     if (!moving && this.#ready) this.#timer = window.setTimeout(() => this.#ask({ look, view, most: RESTING }), SETTLE)
   }
+
+  /** The frame has no depth. */
+  pick(): undefined {}
 
   snapshot(look: Look, view: OrbitView): Promise<Blob> {
     return this.#frames.frame(look, view, this.#size(RESTING))
@@ -83,22 +93,38 @@ export class ServedView implements Engine {
     }
   }
 
-  async #show({ look, view, most }: Wish): Promise<void> {
-    const blob = await this.#frames.frame(look, view, this.#size(most), most < RESTING)
-    if (this.#closed) return
+  async #show(wish: Wish): Promise<void> {
+    const { look, view, most } = wish
+    const blob = await this.#frame(wish)
+    if (this.#closed || !blob) return
     const before = this.node.src
     this.node.src = URL.createObjectURL(blob)
     await this.node.decode()
     if (before) URL.revokeObjectURL(before)
     if (!this.#ready) this.#listener.ready()
     this.#ready = true
+    this.#light = lightOf(look)
+    this.#listener.waiting(this.#next !== undefined && lightOf(this.#next.look) !== this.#light)
     this.#listener.shown()
+    if (most === RESTING && !this.#next && this.#size(SHARPEST)[0] > this.#size(RESTING)[0]) {
+      this.#timer = window.setTimeout(() => this.#ask({ look, view, most: SHARPEST }), SHARPEN)
+    }
   }
 
-  /** The frame's size with a longest side of `most` or less; never more pixels than the screen shows. */
+  async #frame({ look, view, most }: Wish): Promise<Blob | undefined> {
+    const frame = this.#frames.frame(look, view, this.#size(most), most < RESTING)
+    // The server may be too busy for the sharpest frame; the resting one stays.
+    return most === SHARPEST ? frame.catch(() => undefined) : frame
+  }
+
+  /** The size of a frame with the pixels of a square of side `most` or fewer; never more pixels than the screen shows. */
   #size(most: number): [number, number] {
     const [width, height] = this.#listener.size()
-    const scale = Math.min(most / Math.max(width, height, 1), window.devicePixelRatio || 1)
+    const scale = Math.min(most / Math.sqrt(Math.max(1, width * height)), LONGEST / Math.max(width, height, 1), window.devicePixelRatio || 1)
     return [Math.max(1, Math.round(width * scale)), Math.max(1, Math.round(height * scale))]
   }
+}
+
+function lightOf({ environment, rotation }: Look): string {
+  return `${environment} ${rotation}`
 }

@@ -62,11 +62,23 @@ export interface Sink<Header extends Layout> {
 
 const BYTES = { f32: 4, f16: 2, u16: 2, u8: 1 } as const
 
-/** Reads a stream from a response. Rejects if the format or version is wrong or the stream is truncated. */
-export async function readStream<Header extends Layout>(answer: Response, magic: string, sink: Sink<Header>): Promise<void> {
+/** Reads a stream from a response. `loaded` receives the bytes so far and their total. Rejects if the format or version is wrong or the stream is truncated. */
+export async function readStream<Header extends Layout>(
+  answer: Response,
+  magic: string,
+  sink: Sink<Header>,
+  loaded?: (bytes: number, total: number | undefined) => void,
+): Promise<void> {
   const reader = new Reader<Header>(magic, sink)
   if (!answer.body) throw new Error('the stream is empty')
-  for await (const piece of pieces(answer.body)) reader.take(piece)
+  // The length of a compressed answer is not that of its content.
+  const length = answer.headers.has('content-encoding') ? 0 : Number(answer.headers.get('content-length'))
+  let bytes = 0
+  for await (const piece of pieces(answer.body)) {
+    bytes += piece.length
+    loaded?.(bytes, length || undefined)
+    reader.take(piece)
+  }
   reader.end()
 }
 

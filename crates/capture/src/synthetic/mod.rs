@@ -63,6 +63,14 @@ impl Default for SyntheticOptions {
     }
 }
 
+impl SyntheticOptions {
+    /// The capture of `relume sample` and of `"sample": true` in `POST /v1/captures`: the scene of the demo with
+    /// fewer and smaller photographs, some of them held out.
+    pub fn sample() -> Self {
+        Self { train_views: 20, test_views: 4, size: 96, relit: [].into(), paths: 32, ..Self::default() }
+    }
+}
+
 /// Renders the synthetic capture: by default spheres, a box and a cylinder of different materials on a chequered
 /// table.
 ///
