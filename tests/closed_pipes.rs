@@ -27,7 +27,8 @@ fn commands_end_quietly_when_their_reader_closes_the_pipe() {
         std::fs::write(path, bytes).unwrap();
     }
     std::fs::write(folder.path().join("capture.zip"), capture_zip()).unwrap();
-    let train = "train capture.zip --preset draft --iterations 3 --device cpu --no-sheet --out model.safetensors";
+    let train =
+        "train capture.zip --preset draft --iterations 3 --device cpu --no-sheet --out model.safetensors";
     let trained = relume(&train.split(' ').collect::<Vec<_>>(), folder.path(), Stdio::null());
     assert!(trained.status.success(), "{trained:?}");
     for command in ["openapi", "doctor --device cpu", "capture check capture", "explain model.safetensors"] {

@@ -180,7 +180,8 @@ async fn a_server_on_a_damaged_database_is_not_ready() {
         request.send().await.unwrap().status().as_u16()
     };
     assert_eq!(ready().await, 200, "the control: a sound database");
-    let pool = sqlx::SqlitePool::connect(&format!("sqlite:{}", server.data_dir().join("relume.db").display()));
-    sqlx::query("ALTER TABLE jobs RENAME TO elsewhere").execute(&pool.await.unwrap()).await.unwrap();
+    let url = format!("sqlite:{}", server.data_dir().join("relume.db").display());
+    let pool = sqlx::SqlitePool::connect(&url).await.unwrap();
+    sqlx::query("ALTER TABLE jobs RENAME TO elsewhere").execute(&pool).await.unwrap();
     assert_eq!(ready().await, 503);
 }

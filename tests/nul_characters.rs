@@ -55,7 +55,8 @@ async fn a_nul_in_a_pose_file_makes_the_capture_invalid() {
     let made: Value = upload.send().await.unwrap().json().await.unwrap();
     let path = format!("/v1/captures/{}", made["id"].as_str().unwrap());
     let ended = loop {
-        let now: Value = request(server.client(), Method::GET, &path).send().await.unwrap().json().await.unwrap();
+        let now: Value =
+            request(server.client(), Method::GET, &path).send().await.unwrap().json().await.unwrap();
         if now["state"] != json!(CaptureState::Validating) {
             break now;
         }

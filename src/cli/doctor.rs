@@ -58,9 +58,7 @@ pub(super) fn run(args: &DoctorArgs) -> CommandResult {
         println!("self-test     passed");
     }
     if faults > 0 {
-        return Err(
-            format!("{}: {faults} faults found; they are listed above", path.display()).into()
-        );
+        return Err(format!("{}: {faults} faults found; they are listed above", path.display()).into());
     }
     Ok(())
 }

@@ -148,7 +148,9 @@ impl Spool {
             return Err(wrong("the file name is missing; it must be the path of the file in the capture"));
         }
         if path.len() > MAX_NAME_BYTES || path.contains(char::is_control) {
-            return Err(wrong("the file name is longer than 1024 bytes or has a control character; rename the file"));
+            return Err(wrong(
+                "the file name is longer than 1024 bytes or has a control character; rename the file",
+            ));
         }
         tokio::fs::create_dir_all(&self.folder).await?;
         let mut file = tokio::fs::File::from_std(tempfile::tempfile_in(&self.folder)?);

@@ -1,10 +1,13 @@
 //! Refuses NUL characters in requests. PostgreSQL cannot store them, so a request that has one would fail there and succeed on
 //! SQLite.
 
+use std::borrow::Cow;
+
 use axum::extract::Request;
 use axum::http::{StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use percent_encoding::percent_decode_str;
 use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 
 use crate::server::problem::Problem;
@@ -38,29 +41,14 @@ fn fault_of_url(uri: &Uri) -> Option<Problem> {
 
 /// A percent-decoded text; `None` if it is not UTF-8.
 fn decoded(text: &str) -> Option<String> {
-    let mut bytes = Vec::with_capacity(text.len());
-    let mut rest = text.as_bytes();
-    while let Some((&first, after)) = rest.split_first() {
-        let digit = |at: usize| after.get(at).and_then(|c| char::from(*c).to_digit(16));
-        match (first, digit(0), digit(1)) {
-            (b'%', Some(high), Some(low)) => {
-                bytes.push((high * 16 + low) as u8);
-                rest = &after[2..];
-            }
-            _ => {
-                bytes.push(first);
-                rest = after;
-            }
-        }
-    }
-    String::from_utf8(bytes).ok()
+    percent_decode_str(text).decode_utf8().ok().map(Cow::into_owned)
 }
 
 /// 400, which names the field.
 pub(super) fn refusal(pointer: &str) -> Problem {
     let title = "A value contains a NUL character";
-    let mut problem = Problem::new(StatusCode::BAD_REQUEST, "nul-character", title)
-        .detail(format!("{pointer}: {DETAIL}"));
+    let mut problem =
+        Problem::new(StatusCode::BAD_REQUEST, "nul-character", title).detail(format!("{pointer}: {DETAIL}"));
     problem.errors.push(FieldError { pointer: pointer.to_owned(), detail: DETAIL.to_owned() });
     problem
 }
@@ -161,7 +149,9 @@ mod tests {
         assert_eq!(refused_in("/v1/jobs/a%00b"), nul("path"));
         assert_eq!(refused_in("/v1/jobs?limit=2&label=a%00"), nul("query/label"));
         assert_eq!(refused_in("/v1/jobs/%ED%A0%80"), Some(("malformed-path".to_owned(), None)));
-        for sound in ["/v1/jobs/a%01b", "/v1/jobs?label=%2500", "/v1/captures/x/photographs/gr%C3%B6%C3%9Fe.png"] {
+        for sound in
+            ["/v1/jobs/a%01b", "/v1/jobs?label=%2500", "/v1/captures/x/photographs/gr%C3%B6%C3%9Fe.png"]
+        {
             assert_eq!(refused_in(sound), None, "the control: {sound}");
         }
     }

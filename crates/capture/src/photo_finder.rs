@@ -82,7 +82,12 @@ impl<'a> PhotoFinder<'a> {
                 None
             }
             [first, second, ..] => {
-                self.missing.push(format!("{} (it may be {} or {})", shown(name), shown(first), shown(second)));
+                self.missing.push(format!(
+                    "{} (it may be {} or {})",
+                    shown(name),
+                    shown(first),
+                    shown(second)
+                ));
                 None
             }
         }

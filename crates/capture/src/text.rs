@@ -28,7 +28,8 @@ pub(crate) fn fault_of_name(name: &str) -> Option<&'static str> {
     if name.len() > NAME_BYTES {
         return Some("is longer than 1024 bytes; give files and folders shorter names");
     }
-    name.contains(char::is_control).then_some("contains a control character, e.g. a NUL or a line break; rename the file")
+    name.contains(char::is_control)
+        .then_some("contains a control character, e.g. a NUL or a line break; rename the file")
 }
 
 /// A name or value of a file, as messages repeat it: the first 256 bytes and the number of the omitted bytes, with U+FFFD in

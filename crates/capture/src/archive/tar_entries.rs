@@ -94,8 +94,7 @@ fn gunzip(
     let io = |source| CaptureError::Io { file: label.to_owned(), source };
     let mut unpacked = unpacked.map_err(io)?;
     let mut decoder = MultiGzDecoder::new(BufReader::new(file)).take(limit + 1);
-    let length =
-        std::io::copy(&mut decoder, &mut unpacked).map_err(|e| unreadable(label, "", &e))?;
+    let length = std::io::copy(&mut decoder, &mut unpacked).map_err(|e| unreadable(label, "", &e))?;
     if length > limit {
         let reason = format!("{packed} bytes unpack to more than {limit} bytes");
         return Err(CaptureError::over_limit(label, name, reason));
@@ -162,8 +161,7 @@ impl<'a> Index<'a> {
     ) -> Result<TarIndex, CaptureError> {
         let check = EntryCheck::new(label, limits);
         let extensions = Extensions::default();
-        let mut index =
-            Self { check, length, end: 0, extensions, spans: Vec::new(), names: Vec::new() };
+        let mut index = Self { check, length, end: 0, extensions, spans: Vec::new(), names: Vec::new() };
         let mut archive = tar::Archive::new(reader);
         let entries = archive.entries_with_seek().map_err(|e| not_tar(label, &e))?.raw(true);
         for entry in entries {
@@ -235,7 +233,10 @@ impl<'a> Index<'a> {
         {
             // Programs disagree which of the two is valid. Only files beyond 8 GiB need the second.
             let stated = shown(&String::from_utf8_lossy(stated));
-            return Err(unsafe_entry(&lossy, &format!("its headers state two sizes, {size} and {stated} bytes")));
+            return Err(unsafe_entry(
+                &lossy,
+                &format!("its headers state two sizes, {size} and {stated} bytes"),
+            ));
         }
         if kind.is_dir() {
             if !name.iter().all(|b| matches!(b, b'.' | b'/')) {

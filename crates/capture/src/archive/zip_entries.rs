@@ -47,9 +47,8 @@ impl ZipEntries {
         limits: &ImportLimits,
     ) -> Result<Vec<u8>, CaptureError> {
         let stated = self.entries[key].size();
-        let bytes = self.unpacked(key, name, |entry| {
-            Ok(read_bounded(entry, stated.min(limits.max_entry_bytes), name))
-        });
+        let bytes = self
+            .unpacked(key, name, |entry| Ok(read_bounded(entry, stated.min(limits.max_entry_bytes), name)));
         let bytes = bytes?.map_err(|e| unreadable(name, "cannot be unpacked: ", &e))?;
         if bytes.len() as u64 != stated {
             return Err(damaged(name, format!("is truncated: {} of {stated} bytes", bytes.len())));
@@ -117,10 +116,7 @@ fn memory_bytes(entry: &ZipFileEntry<'_>, header: u64) -> u64 {
 }
 
 /// The path of a regular file, `None` for a folder, an error for any other kind.
-fn check_entry(
-    entry: &ZipFileEntry<'_>,
-    check: &mut EntryCheck<'_>,
-) -> Result<Option<String>, CaptureError> {
+fn check_entry(entry: &ZipFileEntry<'_>, check: &mut EntryCheck<'_>) -> Result<Option<String>, CaptureError> {
     let name = entry.name_raw();
     let lossy = String::from_utf8_lossy(name);
     if entry.is_dir() {

@@ -247,10 +247,15 @@ mod tests {
 
     #[test]
     fn a_long_log_keeps_its_first_and_last_part() {
-        let (ended, lines, log) = run("echo first; yes 0123456789abcdef | head -c 12000000; echo; echo last", LONG, false);
+        let (ended, lines, log) =
+            run("echo first; yes 0123456789abcdef | head -c 12000000; echo; echo last", LONG, false);
         ended.unwrap();
         assert!(log.len() as u64 <= MAX_LOG_BYTES, "{} bytes", log.len());
-        assert!(log.starts_with("earlier\nfirst\n0123") && log.ends_with("\nlast\n"), "{}", &log[log.len() - 40..]);
+        assert!(
+            log.starts_with("earlier\nfirst\n0123") && log.ends_with("\nlast\n"),
+            "{}",
+            &log[log.len() - 40..]
+        );
         assert!(log.contains(" bytes omitted by relume ...\n"));
         assert_eq!(lines.last().map(String::as_str), Some("last"), "the control: every line is reported");
         let (_, _, short) = run("echo one", LONG, false);

@@ -289,7 +289,8 @@ fn a_gzipped_tar_is_unpacked_without_a_name_on_disk() {
 #[test]
 fn names_in_pose_files_have_no_control_characters() {
     for name in ["images/a\0b.png", "images/a\nb.png", &"z".repeat(2000)] {
-        let error = import_folder(&nerfstudio(|set| set["frames"][2]["file_path"] = name.into())).unwrap_err();
+        let error =
+            import_folder(&nerfstudio(|set| set["frames"][2]["file_path"] = name.into())).unwrap_err();
         assert_eq!(error.field(), Some("frames[2].file_path"), "{error}");
         assert!(!error.to_string().contains('\0') && error.to_string().len() < 1000, "{error}");
     }
