@@ -1,1 +1,1 @@
-export{t as RelumeViewer}from"./assets/element-Cn32943D.js";
+export{t as RelumeViewer}from"./assets/element-CHzcihtl.js";

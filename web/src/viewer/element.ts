@@ -51,7 +51,11 @@ export class RelumeViewer extends HTMLElement {
   ]
 
   readonly #root = this.attachShadow({ mode: 'open' })
-  readonly #orbit = new Orbit(this, { changed: () => this.#moved(), pick: (x, y) => this.#engine?.pick(this.camera(), x, y) })
+  readonly #orbit = new Orbit(this, {
+    changed: () => this.#moved(),
+    initial: () => this.#initial(),
+    pick: (x, y) => this.#engine?.pick(this.camera(), x, y),
+  })
   readonly #resized = new ResizeObserver(() => this.#draw(false))
   #frames: Frames | undefined
   #engine: Engine | undefined
@@ -146,13 +150,20 @@ export class RelumeViewer extends HTMLElement {
     const before = this.#engine
     this.#engine = engine
     // An engine that replaces another keeps the current camera.
-    if (!before) this.#orbit.start(engine.photographed ? fitted(engine.begin, this.clientWidth / Math.max(1, this.clientHeight)) : engine.begin)
+    if (!before) this.#orbit.set(this.#initial())
     before?.close()
     this.#map = undefined
     this.#root.replaceChildren(engine.node)
     this.#readView()
     this.#fire('relume-mode', engine.mode)
     this.#draw(false)
+  }
+
+  /** The initial view of the model. The subject also fits into an element that is narrower than high. */
+  #initial(): Partial<OrbitView> {
+    const { begin, photographed } = this.#engine ?? {}
+    if (!begin || !photographed) return { ...begin }
+    return fitted(begin, this.clientWidth / Math.max(1, this.clientHeight))
   }
 
   #close(): void {

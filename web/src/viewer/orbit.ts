@@ -60,6 +60,8 @@ const FOCUS = 0.6
 export interface OrbitListener {
   /** The user moved the camera. */
   changed(): void
+  /** The initial view for the current size of the picture. */
+  initial(): Partial<OrbitView>
   /** The user asks for the point of the model at a position of the picture, pixels from its upper left corner. */
   pick(x: number, y: number): [number, number, number] | undefined
 }
@@ -69,7 +71,6 @@ export class Orbit {
   readonly #element: HTMLElement
   readonly #listener: OrbitListener
   #view: OrbitView = { azimuth: 0, zero: 0, elevation: 20, distance: 4, target: [0, 0, 0], fov: 40 }
-  #begin: Partial<OrbitView> = {}
   /** The view when the last pointer went down. */
   #held: Partial<OrbitView> = {}
   #listening: AbortController | undefined
@@ -89,14 +90,9 @@ export class Orbit {
     this.#view.elevation = Math.min(89, Math.max(-89, this.#view.elevation))
   }
 
-  /** Sets the view to which `reset` returns, and shows it. */
-  start(view: Partial<OrbitView>): void {
-    this.#begin = view
-    this.set(view)
-  }
-
+  /** Returns to the initial view. */
   reset(): void {
-    this.set({ ...this.#begin })
+    this.set(this.#listener.initial())
     this.#listener.changed()
   }
 
