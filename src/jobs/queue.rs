@@ -115,8 +115,10 @@ impl Jobs {
     async fn forward_changes(&self) -> Result<(), StoreError> {
         let mut listener = self.store.listen().await?;
         loop {
-            listener.wait_for_change().await?;
-            self.announce_all();
+            match listener.wait_for_change().await? {
+                Some(job) => self.announce(&job),
+                None => self.announce_all(),
+            }
         }
     }
 

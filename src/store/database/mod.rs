@@ -10,6 +10,7 @@ use sqlx::postgres::PgListener;
 
 use crate::store::StoreError;
 use crate::store::sql::{Pool, Tx};
+use relume_api::JobId;
 
 use postgres::HeldLock;
 pub(super) use postgres::{DatabaseServer, schema as server_schema};
@@ -37,15 +38,20 @@ impl ServerLock {
 pub struct JobChangeListener(Option<PgListener>);
 
 impl JobChangeListener {
-    /// Waits for a change, or until a lost connection is restored, because a change may have been missed. A SQLite file has a
-    /// single writing process, so this waits forever.
+    /// Waits for a change and returns its job; `None` when a lost connection is restored, because changes of any job may have
+    /// been missed. A SQLite file has a single writing process, so this waits forever.
     ///
     /// # Errors
     /// When the database cannot be reached.
-    pub async fn wait_for_change(&mut self) -> Result<(), StoreError> {
+    pub async fn wait_for_change(&mut self) -> Result<Option<JobId>, StoreError> {
         match &mut self.0 {
             None => std::future::pending().await,
-            Some(listener) => Ok(listener.try_recv().await.map(drop)?),
+            Some(listener) => {
+                let told = listener.try_recv().await?;
+                // Earlier schemas name no job.
+                let job = told.map(|told| told.payload().to_owned()).filter(|job| !job.is_empty());
+                Ok(job.map(JobId::from))
+            }
         }
     }
 }
