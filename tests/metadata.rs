@@ -230,7 +230,7 @@ async fn invalid_metadata_is_refused_with_the_field_and_not_stored() {
         (json!({ "name": "" }), "/name"),
         (json!({ "external_id": long }), "/external_id"),
         (json!({ "name": "two\nlines" }), "/name"),
-        (json!({ "name": "x", "external_id": "\0" }), "/external_id"),
+        (json!({ "name": "x", "external_id": "\u{1}" }), "/external_id"),
         (json!({ "name": "x", "labels": { "a b": "c" } }), "/labels"),
         (json!({ "name": "x", "labels": many }), "/labels"),
         (json!({ "colour": 1 }), "/colour"),

@@ -136,7 +136,9 @@ async fn photograph_names_outside_the_capture_answer_404() {
     ] {
         for method in [Method::GET, Method::HEAD] {
             let answer = client.request(method, &format!("{base}/{name}")).unwrap().send().await.unwrap();
-            assert_eq!(answer.status(), 404, "{name}");
+            // No name has a NUL, so such a path is malformed.
+            let expected = if name.contains("%00") { 400 } else { 404 };
+            assert_eq!(answer.status(), expected, "{name}");
         }
     }
     assert_eq!(get(client, &format!("{base}/train%2Fr_1.png")).await.status(), 200, "the control");
