@@ -46,6 +46,11 @@ openapi:
 ci:
     .ci/run
 
+# Measure the accuracy tables of docs/accuracy.md: captures of CONTRIBUTING.md and of benches/lights.py, and a folder for the reports
+results DATA LIGHTS WORK *ARGS:
+    cargo build --release --bin relume
+    python3 benches/accuracy/measure.py {{DATA}} {{LIGHTS}} {{WORK}} {{ARGS}}
+
 # Measure build times of this commit and of others, seconds
 build-times *COMMITS:
     benches/build_times {{COMMITS}}
