@@ -109,7 +109,6 @@ async fn artifacts_beside_an_empty_database_are_not_served() {
     assert!(why.contains("its database is empty"), "{why}");
     let (healthy, said) = doctor(data.path());
     assert!(!healthy && said.contains("its database is empty"), "{said}");
-    assert_eq!(std::fs::read(&database).unwrap(), [0; 0], "the file is not changed");
     std::fs::remove_file(&database).unwrap();
     let url = format!("sqlite:{}?mode=rwc", database.display());
     let pool = sqlx::SqlitePool::connect(&url).await.unwrap();

@@ -140,12 +140,17 @@ mod tests {
         let done = Arc::new(Mutex::new(Vec::new()));
         // Holds the only thread until all other work waits.
         let (release, held) = std::sync::mpsc::channel::<()>();
-        let first = decoders.run(&a, move || held.recv());
+        let (begin, begun) = tokio::sync::oneshot::channel();
+        let first = decoders.run(&a, move || {
+            begin.send(()).unwrap();
+            held.recv()
+        });
         let note = |name: &'static str| {
             let done = done.clone();
             move || done.lock().unwrap().push(name)
         };
         let others = async {
+            begun.await.unwrap();
             let mut of_a: Vec<_> =
                 ["a1", "a2", "a3"].map(|name| Box::pin(decoders.run(&a, note(name)))).into();
             let mut of_b: Vec<_> = ["b1", "b2"].map(|name| Box::pin(decoders.run(&b, note(name)))).into();

@@ -57,13 +57,13 @@ pub(super) struct RouteLimits {
 
 /// Uploads: limited by their rate and by the time between two chunks, so that gigabytes may take hours.
 pub(super) const UPLOADS: RouteLimits =
-    RouteLimits { max_concurrent: 64, per_tenant: 16, timeout: Duration::from_secs(24 * 3600) };
+    RouteLimits { max_concurrent: 64, per_tenant: 32, timeout: Duration::from_secs(24 * 3600) };
 /// Files that remote workers receive and send, separate from uploads, so that slow uploads cannot stop trainings.
 pub(super) const WORKER_FILES: RouteLimits =
     RouteLimits { max_concurrent: 256, per_tenant: 256, timeout: Duration::from_secs(24 * 3600) };
 /// Lists that are read from archives, separate from uploads, so that slow uploads cannot stop them.
 pub(super) const ARCHIVE_READS: RouteLimits =
-    RouteLimits { max_concurrent: 64, per_tenant: 16, timeout: Duration::from_secs(300) };
+    RouteLimits { max_concurrent: 64, per_tenant: 32, timeout: Duration::from_secs(300) };
 /// Renders: the body, the queue of the device, and the frame.
 pub(super) const RENDERS: RouteLimits =
     RouteLimits { max_concurrent: 128, per_tenant: 128, timeout: Duration::from_secs(300) };

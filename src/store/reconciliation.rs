@@ -35,10 +35,10 @@ impl Store {
     pub async fn reconcile_artifacts(&self, now: SystemTime) -> Result<ReconciliationReport, StoreError> {
         let mut report = ReconciliationReport::default();
         let Some(remote) = self.artifacts.remote() else { return Ok(report) };
+        let objects = remote.list("").await?;
         if names(self.pool()).await?.is_empty() {
             return Ok(report);
         }
-        let objects = remote.list("").await?;
         let sizes: HashMap<&str, u64> =
             objects.iter().map(|object| (object.key.as_str(), object.bytes)).collect();
         report.sent = self.upload_local_only_files(&sizes).await?;
