@@ -46,7 +46,7 @@ openapi:
 ci:
     .ci/run
 
-# Measure the accuracy tables of docs/accuracy.md: captures of CONTRIBUTING.md and of benches/lights.py, and a folder for the reports
+# Measure the accuracy tables at this commit: captures of CONTRIBUTING.md and of benches/lights.py, and a folder for reports, tables and their page
 results DATA LIGHTS WORK *ARGS:
     cargo build --release --bin relume
     python3 benches/accuracy/measure.py {{DATA}} {{LIGHTS}} {{WORK}} {{ARGS}}

@@ -1,10 +1,9 @@
-"""Trains and evaluates every row of the accuracy tables, and writes one JSON file a table and the page docs/accuracy.md.
+"""Trains and evaluates every row of the accuracy tables, and writes one JSON file a table and a Markdown page of all tables.
 
 Usage: python3 measure.py DATA LIGHTS WORK [--tables NAME,NAME] [--relume PROGRAM]
-       python3 measure.py --page
 
 DATA has the folder `scenes` of CONTRIBUTING.md. LIGHTS has the captures of benches/lights.py, in folders named SCENE-LIGHT. WORK keeps a report for each
-training, so an interrupted run continues where it stopped; use one WORK for each commit. `--page` only writes the page again from the JSON files.
+training, so an interrupted run continues where it stopped; use one WORK for each commit. The tables and the page are in WORK as well.
 Only the standard library of Python is needed.
 """
 
@@ -95,30 +94,26 @@ def measure(table, args):
     head = {key: table[key] for key in ("name", "title", "about", "preset", "resolution")}
     commit = subprocess.run(["git", "-C", str(REPOSITORY), "rev-parse", "--short=8", "HEAD"], capture_output=True, text=True)
     head |= {"commit": commit.stdout.strip(), "machine": processor(), "rows": rows}
-    page.write_json(head)
+    page.write_json(Path(args.work), head)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", nargs="?")
-    parser.add_argument("lights", nargs="?")
-    parser.add_argument("work", nargs="?")
+    parser.add_argument("data")
+    parser.add_argument("lights")
+    parser.add_argument("work")
     parser.add_argument("--tables", default=",".join(t["name"] for t in TABLES if t["default"]))
     parser.add_argument("--relume", default=str(REPOSITORY / "target/release/relume"))
-    parser.add_argument("--page", action="store_true")
     args = parser.parse_args()
-    if not args.page:
-        if not args.work:
-            parser.error("DATA, LIGHTS and WORK are required")
-        wanted = args.tables.split(",")
-        unknown = set(wanted) - {t["name"] for t in TABLES}
-        if unknown:
-            parser.error(f"no table is named {', '.join(sorted(unknown))}")
-        Path(args.work).mkdir(parents=True, exist_ok=True)
-        for table in TABLES:
-            if table["name"] in wanted:
-                measure(table, args)
-    page.write_page()
+    wanted = args.tables.split(",")
+    unknown = set(wanted) - {t["name"] for t in TABLES}
+    if unknown:
+        parser.error(f"no table is named {', '.join(sorted(unknown))}")
+    Path(args.work).mkdir(parents=True, exist_ok=True)
+    for table in TABLES:
+        if table["name"] in wanted:
+            measure(table, args)
+    page.write_page(Path(args.work))
 
 
 main()

@@ -1,13 +1,8 @@
-"""Writes docs/accuracy.md from the JSON files of the tables."""
+"""Writes a Markdown page from the JSON files of the tables."""
 
 import json
 import statistics
-from pathlib import Path
-
 from tables import TABLES
-
-DOCS = Path(__file__).resolve().parents[2] / "docs"
-FOLDER = DOCS / "accuracy"
 
 # Name, heading and digits of each column.
 COLUMNS = [
@@ -26,15 +21,14 @@ HEAD = """# Accuracy
 benches/accuracy/tables.py, or the text in benches/accuracy/page.py.
 
 Images are in dB PSNR, the mean over all held-out views. *Relit* pictures are under lights that the training did not see: *raw* as recovered, *aligned* after one factor for each channel of
-the albedo. Normals are mean errors in degrees; AO and roughness are mean absolute errors, 0 to 1. [Results](results.md) describes the protocol and the scenes.
-The last captures are of [benches/lights.py](../benches/lights.py): their name is a scene and a light. The settings were not chosen on them.
+the albedo. Normals are mean errors in degrees; AO and roughness are mean absolute errors, 0 to 1. docs/results.md describes the protocol and the scenes.
+The last captures are of benches/lights.py: their name is a scene and a light. The settings were not chosen on them.
 """
 
 
-def write_json(table):
-    """Writes one table. Its rows have the figures of each seed."""
-    FOLDER.mkdir(exist_ok=True)
-    (FOLDER / f"{table['name']}.json").write_text(json.dumps(table, indent=1) + "\n")
+def write_json(folder, table):
+    """Writes one table into `folder`. Its rows have the figures of each seed."""
+    (folder / f"table-{table['name']}.json").write_text(json.dumps(table, indent=1) + "\n")
 
 
 def summary(values, digits):
@@ -75,12 +69,12 @@ def section(table):
     return "\n".join(lines) + "\n"
 
 
-def text():
-    """The whole page."""
-    files = [FOLDER / f"{table['name']}.json" for table in TABLES]
+def text(folder):
+    """The page of the tables in `folder`."""
+    files = [folder / f"table-{table['name']}.json" for table in TABLES]
     return HEAD + "".join(section(json.loads(file.read_text())) for file in files if file.exists())
 
 
-def write_page():
-    """Writes the page."""
-    (DOCS / "accuracy.md").write_text(text())
+def write_page(folder):
+    """Writes the page of the tables in `folder`."""
+    (folder / "accuracy").with_suffix(".md").write_text(text(folder))
