@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use relume_api::exports::{ExportState, ExportView};
+use relume_api::exports::ExportState;
 use relume_api::jobs::JobState;
 use relume_api::{CaptureId, ExportId, ModelId, Problem};
 use relume_client::{Client, ClientError};
@@ -14,6 +14,7 @@ use serde_json::json;
 use tempfile::TempDir;
 
 use crate::server_process::Server;
+use crate::service_exports;
 use crate::service_support::{CaptureZip, capture_zip, ended, files_under, small_job, trained, until};
 
 /// More steps than any test needs.
@@ -46,6 +47,13 @@ async fn start_job(client: &Client, steps: u32) -> relume_api::jobs::JobView {
     client.create_job(&small_job(&capture.id, steps, 200), None).await.unwrap()
 }
 
+/// A server for [`let_files_grow`].
+fn server_with_limitable_files(data: &Path) -> Server {
+    let mut shell = Command::new("bash");
+    shell.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_relume")]);
+    Server::start_under(shell, data)
+}
+
 /// Permits or forbids the growth of a process's files.
 fn let_files_grow(server: &Server, grow: bool) {
     let limit = if grow { "--fsize=unlimited:" } else { "--fsize=0:" };
@@ -56,9 +64,7 @@ fn let_files_grow(server: &Server, grow: bool) {
 #[tokio::test(flavor = "multi_thread")]
 async fn after_a_full_disk_writes_succeed_and_training_resumes() {
     let data = TempDir::new().unwrap();
-    let mut shell = Command::new("bash");
-    shell.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_relume")]);
-    let server = Server::start_under(shell, data.path());
+    let server = server_with_limitable_files(data.path());
     let client = &server.client;
     let job = start_job(client, ENDLESS).await;
     until(client, &job.id, |job| job.state == JobState::Running && job.progress.step > 1000).await;
@@ -94,9 +100,7 @@ async fn after_a_full_disk_writes_succeed_and_training_resumes() {
 #[tokio::test(flavor = "multi_thread")]
 async fn thumbnails_are_served_but_not_cached_while_the_disk_is_full() {
     let data = TempDir::new().unwrap();
-    let mut shell = Command::new("bash");
-    shell.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_relume")]);
-    let server = Server::start_under(shell, data.path());
+    let server = server_with_limitable_files(data.path());
     let model = trained(&server.client).await.model.unwrap();
     let was_rendered = async || {
         let path = format!("/v1/models/{model}/thumbnail?size=16");
@@ -118,30 +122,14 @@ async fn thumbnails_are_served_but_not_cached_while_the_disk_is_full() {
 /// Queues a turntable and waits until some of its frames are made.
 async fn running_export(client: &Client, model: &ModelId, frames: u32) -> ExportId {
     let body = json!({ "kind": "frames", "turntable": { "frames": frames }, "width": 64, "height": 64 });
-    let path = format!("/v1/models/{model}/exports");
-    let answer = client.request(Method::POST, &path).unwrap().json(&body).send().await.unwrap();
-    let export: ExportView = answer.json().await.unwrap();
-    until_export(client, &export.id, |export| export.progress.done >= 5).await;
-    export.id
-}
-
-async fn until_export(client: &Client, id: &ExportId, is_so: impl Fn(&ExportView) -> bool) -> ExportView {
-    for _ in 0..3000 {
-        let export = client.export(id).await.unwrap();
-        if is_so(&export) {
-            return export;
-        }
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
-    panic!("export {id} never got there");
+    let export = service_exports::queued(client, model, &body).await;
+    service_exports::until(client, &export.id, |export| export.progress.done >= 5).await.id
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_export_pauses_while_the_disk_is_full() {
     let data = TempDir::new().unwrap();
-    let mut shell = Command::new("bash");
-    shell.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_relume")]);
-    let server = Server::start_under(shell, data.path());
+    let server = server_with_limitable_files(data.path());
     let client = &server.client;
     let model = trained(client).await.model.unwrap();
     let id = running_export(client, &model, 500).await;
@@ -151,7 +139,7 @@ async fn an_export_pauses_while_the_disk_is_full() {
     let export = client.export(&id).await.unwrap();
     assert!(!export.state.is_terminal() && export.progress.done < 500, "the control: {export:?}");
     let_files_grow(&server, true);
-    let export = until_export(client, &id, |export| export.state.is_terminal()).await;
+    let export = service_exports::ended(client, &id).await;
     assert_eq!(export.state, ExportState::Succeeded, "{:?}", export.error);
 }
 

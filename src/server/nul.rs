@@ -8,8 +8,9 @@ use axum::http::{StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use percent_encoding::percent_decode_str;
-use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
+use serde_json::Value;
 
+use crate::server::extract::pointer_to;
 use crate::server::problem::Problem;
 use relume_api::problem::FieldError;
 
@@ -53,81 +54,29 @@ pub(super) fn refusal(pointer: &str) -> Problem {
     problem
 }
 
-/// Refuses a JSON document with a NUL in a text or key. `pointer` makes a JSON pointer of the place. A document that is not JSON
-/// passes; its parser refuses it.
-pub(super) fn check_json(
-    bytes: &[u8],
-    pointer: impl FnOnce(&serde_path_to_error::Path) -> String,
-) -> Result<(), Problem> {
+/// Refuses a JSON document with a NUL in a text or key. A document that is not JSON passes; its parser refuses it.
+pub(super) fn check_json(bytes: &[u8]) -> Result<(), Problem> {
     // JSON has a NUL only as this escape.
     const ESCAPE: &[u8] = b"\\u0000";
     if !bytes.windows(ESCAPE.len()).any(|window| window == ESCAPE) {
         return Ok(());
     }
-    let mut json = serde_json::Deserializer::from_slice(bytes);
-    let mut track = serde_path_to_error::Track::new();
-    let checked = NoNul.deserialize(serde_path_to_error::Deserializer::new(&mut json, &mut track));
-    match checked {
-        Err(error) if error.to_string().starts_with(DETAIL) => Err(refusal(&pointer(&track.path()))),
-        _ => Ok(()),
-    }
+    let Ok(document) = serde_json::from_slice(bytes) else { return Ok(()) };
+    nul_in(&document).map_or(Ok(()), |pointer| Err(refusal(&pointer)))
 }
 
-/// Visits every text of a document and fails at the first with a NUL.
-struct NoNul;
-
-impl<'de> DeserializeSeed<'de> for NoNul {
-    type Value = ();
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_any(self)
-    }
-}
-
-impl<'de> Visitor<'de> for NoNul {
-    type Value = ();
-
-    fn expecting(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("any value")
-    }
-
-    fn visit_str<E: Error>(self, text: &str) -> Result<(), E> {
-        if text.contains('\0') { Err(E::custom(DETAIL)) } else { Ok(()) }
-    }
-
-    fn visit_bool<E: Error>(self, _: bool) -> Result<(), E> {
-        Ok(())
-    }
-
-    fn visit_i64<E: Error>(self, _: i64) -> Result<(), E> {
-        Ok(())
-    }
-
-    fn visit_u64<E: Error>(self, _: u64) -> Result<(), E> {
-        Ok(())
-    }
-
-    fn visit_f64<E: Error>(self, _: f64) -> Result<(), E> {
-        Ok(())
-    }
-
-    fn visit_unit<E: Error>(self) -> Result<(), E> {
-        Ok(())
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<(), A::Error> {
-        while items.next_element_seed(NoNul)?.is_some() {}
-        Ok(())
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut fields: A) -> Result<(), A::Error> {
-        while let Some(name) = fields.next_key::<String>()? {
-            if name.contains('\0') {
-                return Err(A::Error::custom(DETAIL));
-            }
-            fields.next_value_seed(NoNul)?;
+/// JSON pointer of the first text or key with a NUL.
+fn nul_in(value: &Value) -> Option<String> {
+    match value {
+        Value::String(text) => text.contains('\0').then(String::new),
+        Value::Array(items) => {
+            items.iter().enumerate().find_map(|(i, item)| Some(format!("/{i}{}", nul_in(item)?)))
         }
-        Ok(())
+        Value::Object(fields) => fields.iter().find_map(|(name, field)| {
+            let below = if name.contains('\0') { String::new() } else { nul_in(field)? };
+            Some(format!("{}{below}", pointer_to(&name.replace('\0', "\u{fffd}"))))
+        }),
+        _ => None,
     }
 }
 
@@ -158,12 +107,10 @@ mod tests {
 
     #[test]
     fn a_nul_in_json_is_refused_by_its_field() {
-        let place = |json: &str| {
-            let checked = check_json(json.as_bytes(), |path| path.to_string());
-            checked.err().map(|problem| problem.errors[0].pointer.clone())
-        };
-        assert_eq!(place(r#"{"a": [1, {"b": "x\u0000"}]}"#).as_deref(), Some("a[1].b"));
-        assert!(place(r#"{"a\u0000": null}"#).is_some());
+        let place =
+            |json: &str| check_json(json.as_bytes()).err().map(|problem| problem.errors[0].pointer.clone());
+        assert_eq!(place(r#"{"a": [1, {"b": "x\u0000"}]}"#).as_deref(), Some("/a/1/b"));
+        assert_eq!(place(r#"{"a\u0000": null}"#).as_deref(), Some("/a\u{fffd}"));
         for sound in [r#"{"a": "\\u0000"}"#, r#"{"a": "\u0001", "b": [true, 1.5, -2, null]}"#, "{\"\\u0000"] {
             assert_eq!(place(sound), None, "the control: {sound}");
         }

@@ -13,7 +13,7 @@ pub(super) fn has_artifacts(root: &Path) -> Result<bool, StoreError> {
     Ok(root.join(RESTORING).exists() || !artifact_keys(&root.join("artifacts"))?.is_empty())
 }
 
-/// Refuses a data directory with artifacts whose database is missing or has no tables. Changes nothing.
+/// Refuses a data directory with artifacts whose database is missing or has no tables. Moves and removes nothing.
 ///
 /// # Errors
 /// [`StoreError::DatabaseMissing`] and [`StoreError::DatabaseEmpty`]; when the database or the directory cannot be read.
@@ -21,17 +21,13 @@ pub(super) async fn check_before_migration(root: &Path, url: Option<&DatabaseUrl
     if !has_artifacts(root)? {
         return Ok(());
     }
-    let name = || root.display().to_string();
-    let file = root.join(database::FILE);
-    match url {
-        None if !file.exists() => Err(StoreError::DatabaseMissing(name())),
-        // A file of 0 bytes is not opened, because that would write to it.
-        None if file.metadata()?.len() == 0 || !DatabaseFile::has_schema(root).await? => {
-            Err(StoreError::DatabaseEmpty(name()))
-        }
-        Some(url) if DatabaseServer::schema_of(url).await? == 0 => Err(StoreError::DatabaseEmpty(name())),
-        _ => Ok(()),
-    }
+    let name = root.display().to_string();
+    let schema = match url {
+        None if !root.join(database::FILE).exists() => return Err(StoreError::DatabaseMissing(name)),
+        None => DatabaseFile::schema_of(root).await?,
+        Some(url) => DatabaseServer::schema_of(url).await?,
+    };
+    if schema == 0 { Err(StoreError::DatabaseEmpty(name)) } else { Ok(()) }
 }
 
 /// Refuses a database that has never named an artifact, beside artifacts that are older than the database. A server that was killed

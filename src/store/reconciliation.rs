@@ -27,8 +27,8 @@ pub struct ReconciliationReport {
 impl Store {
     /// Sends artifacts that the database references and that only this machine has to the object store. There it removes leftover
     /// objects of known jobs' attempts and of exports, and moves objects that the database does not know to the orphans folder
-    /// for seven days. Does nothing without an object store, or if the database has never named an artifact. The caller must hold the lock of the data directory and be the only
-    /// server on the database.
+    /// for seven days. Does nothing without an object store, or if the database has never named an artifact. The caller must hold
+    /// the lock of the data directory and be the only server on the database.
     ///
     /// # Errors
     /// When the database, the object store or a file operation fails. The next run continues.

@@ -58,16 +58,14 @@ impl Retention {
     }
 }
 
-/// Maximum number of resources of a kind that one run deletes, so that no run takes long.
-const MOST_PER_RUN: usize = 1000;
-
-/// Resources of a kind that are older than `$1`, oldest first, at most `$2`. Resources with the label `keep:true` are excluded.
+/// Resources of a kind that are older than `$1`, oldest first, with a limit so that no run takes long. Resources with the label
+/// `keep:true` are excluded.
 const EXPIRED: [(ResourceKind, &str); 3] = [
     (
         ResourceKind::Job,
         "SELECT id, tenant FROM jobs WHERE deleted_ms IS NULL AND finished_ms < $1
              AND COALESCE(labels ->> 'keep', '') <> 'true'
-             AND state IN ('succeeded', 'rejected', 'failed', 'cancelled') ORDER BY finished_ms LIMIT $2",
+             AND state IN ('succeeded', 'rejected', 'failed', 'cancelled') ORDER BY finished_ms LIMIT 1000",
     ),
     (
         ResourceKind::Capture,
@@ -75,13 +73,13 @@ const EXPIRED: [(ResourceKind, &str); 3] = [
              AND COALESCE(labels ->> 'keep', '') <> 'true' AND NOT EXISTS
              (SELECT 1 FROM jobs WHERE capture_id = captures.id AND deleted_ms IS NULL
                   AND (state NOT IN ('succeeded', 'rejected') OR created_ms >= $1))
-         ORDER BY created_ms LIMIT $2",
+         ORDER BY created_ms LIMIT 1000",
     ),
     (
         ResourceKind::Model,
         "SELECT id, tenant FROM models WHERE deleted_ms IS NULL AND created_ms < $1
              AND COALESCE(labels ->> 'keep', '') <> 'true'
-         ORDER BY created_ms LIMIT $2",
+         ORDER BY created_ms LIMIT 1000",
     ),
 ];
 
@@ -119,10 +117,13 @@ impl Store {
             };
             let Some(keep) = keep else { continue };
             let before = now_ms.saturating_sub(i64::try_from(keep.as_millis()).unwrap_or(i64::MAX));
-            let most = i64::try_from((*most.of(kind)).min(MOST_PER_RUN)).unwrap_or_default();
-            let query = sql::query_as(query).bind(before).bind(most);
-            let ids: Vec<(String, TenantId)> = query.fetch_all(self.pool()).await?;
+            let ids: Vec<(String, TenantId)> =
+                sql::query_as(query).bind(before).fetch_all(self.pool()).await?;
             for (id, tenant) in ids {
+                // A resource that is in use does not count.
+                if *deleted.of(kind) >= *most.of(kind) {
+                    break;
+                }
                 let name = ResourceName::new(kind, id);
                 if self.delete(&tenant, &name, false, now_ms).await? == Deletion::Done {
                     tracing::info!(%name, "deleted a resource at the end of its retention");
@@ -131,7 +132,7 @@ impl Store {
             }
         }
         if let Some(keep) = retention.exports {
-            deleted.exports = self.expire_exports(keep, most.exports.min(MOST_PER_RUN), now_ms).await?;
+            deleted.exports = self.expire_exports(keep, most.exports, now_ms).await?;
             if deleted.exports > 0 {
                 tracing::info!(count = deleted.exports, "deleted exports at the end of their retention");
             }

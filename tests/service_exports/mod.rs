@@ -26,14 +26,14 @@ async fn post(client: &Client, model: &ModelId, body: &Value) -> Response {
     client.request(Method::POST, &path).unwrap().json(body).send().await.unwrap()
 }
 
-async fn queued(client: &Client, model: &ModelId, body: &Value) -> ExportView {
+pub async fn queued(client: &Client, model: &ModelId, body: &Value) -> ExportView {
     let answer = post(client, model, body).await;
     let (status, text) = (answer.status(), answer.text().await.unwrap());
     assert_eq!(status, StatusCode::ACCEPTED, "{body}: {text}");
     serde_json::from_str(&text).unwrap()
 }
 
-async fn until(client: &Client, id: &ExportId, done: impl Fn(&ExportView) -> bool) -> ExportView {
+pub async fn until(client: &Client, id: &ExportId, done: impl Fn(&ExportView) -> bool) -> ExportView {
     for _ in 0..6000 {
         let export = client.export(id).await.unwrap();
         if done(&export) {
@@ -44,7 +44,7 @@ async fn until(client: &Client, id: &ExportId, done: impl Fn(&ExportView) -> boo
     panic!("export {id} never got there");
 }
 
-async fn ended(client: &Client, id: &ExportId) -> ExportView {
+pub async fn ended(client: &Client, id: &ExportId) -> ExportView {
     until(client, id, |export| export.state.is_terminal()).await
 }
 

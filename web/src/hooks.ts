@@ -1,19 +1,19 @@
 import type { RefObject } from 'preact'
 import { useCallback, useEffect, useRef, useState } from 'preact/hooks'
 import { ask, get, send } from './api/client'
-import { explain, type Trouble } from './api/trouble'
+import { explain, type PageError } from './api/page-error'
 
 /** Data from the API: undefined at first, then the data or an error message. */
 export interface Loaded<T> {
   data: T | undefined
-  error: Trouble | undefined
+  error: PageError | undefined
   /** Loads again; the current data stays until then. */
   reload: () => void
 }
 
 /** Loads a path, and reloads it every `every` milliseconds if that is given. */
 export function useLoaded<T>(path: string | undefined, every?: number): Loaded<T> {
-  const [state, setState] = useState<{ path?: string | undefined; data?: T; error?: Trouble }>({})
+  const [state, setState] = useState<{ path?: string | undefined; data?: T; error?: PageError }>({})
   const [round, setRound] = useState(0)
   useEffect(() => {
     if (!path) return

@@ -25,10 +25,10 @@ export async function openedModel(page, link) {
   await page.locator('.poster img').waitFor()
   await page.locator('.poster').getByText('The model is being loaded').waitFor()
   await model()
-  const isDrawnHere = await page.waitForFunction(() => /light is on its way|draws the model/.test(document.querySelector('.theatre').textContent))
+  const isDrawnHere = await page.waitForFunction(() => /light is on its way|draws the model/.test(document.querySelector('.viewer-panel').textContent))
   assert.ok(isDrawnHere)
   await light()
-  await page.locator('.theatre .mode').waitFor()
+  await page.locator('.viewer-panel .mode').waitFor()
   await page.locator('.poster').waitFor({ state: 'detached' })
 }
 

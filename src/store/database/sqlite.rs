@@ -44,21 +44,19 @@ impl DatabaseFile {
         Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options).await?)
     }
 
-    /// The schema version of an existing `root/relume.db`.
+    /// The schema version of an existing `root/relume.db`; 0 if it has none.
     pub(in crate::store) async fn schema_of(root: &Path) -> Result<i64, StoreError> {
         let pool = Self::open_read_only(root).await?;
-        let query = sqlx::query_scalar("SELECT MAX(version) FROM _sqlx_migrations");
-        let found = query.fetch_one(&pool).await;
-        pool.close().await;
-        Ok(found?)
-    }
-
-    /// Whether an existing `root/relume.db` has the tables of this program, in any version.
-    pub(in crate::store) async fn has_schema(root: &Path) -> Result<bool, StoreError> {
-        let pool = Self::open_read_only(root).await?;
-        let query =
-            sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sqlite_master WHERE name = '_sqlx_migrations')");
-        let found = query.fetch_one(&pool).await;
+        let found = async {
+            let there = "SELECT EXISTS (SELECT 1 FROM sqlite_master WHERE name = '_sqlx_migrations')";
+            let mut found = Some(0);
+            if sqlx::query_scalar(there).fetch_one(&pool).await? {
+                found =
+                    sqlx::query_scalar("SELECT MAX(version) FROM _sqlx_migrations").fetch_one(&pool).await?;
+            }
+            Ok::<_, sqlx::Error>(found.unwrap_or(0))
+        };
+        let found = found.await;
         pool.close().await;
         Ok(found?)
     }

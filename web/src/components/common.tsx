@@ -1,6 +1,6 @@
 import type { ComponentChildren } from 'preact'
 import { useEffect, useRef, useState } from 'preact/hooks'
-import { explain, GONE, type Trouble } from '../api/trouble'
+import { explain, GONE, type PageError } from '../api/page-error'
 import { usePicture } from '../hooks'
 
 /** An image from an API path. */
@@ -14,7 +14,7 @@ export function Badge({ state }: { state: string }) {
 }
 
 /** An error, which screen readers announce immediately: what happened, what to do, and the server's own message behind *Details*. */
-export function Failure({ error, retry }: { error: Trouble | undefined; retry?: () => void }) {
+export function Failure({ error, retry }: { error: PageError | undefined; retry?: () => void }) {
   return (
     <div role="alert">
       {error ? (
@@ -29,7 +29,7 @@ export function Failure({ error, retry }: { error: Trouble | undefined; retry?: 
 }
 
 /** The content of a page whose resource could not be loaded. */
-export function Missing(props: { what: string; back: { to: string; label: string }; error: Trouble; retry: () => void }) {
+export function Missing(props: { what: string; back: { to: string; label: string }; error: PageError; retry: () => void }) {
   const isGone = props.error.what === GONE
   const error = isGone ? { ...props.error, what: `This server has no such ${props.what}.` } : props.error
   return (
@@ -70,7 +70,7 @@ export function Head(props: HeadProps) {
 /** A title that the user can change in place. */
 function Named({ title, rename }: { title: string; rename: (name: string) => Promise<unknown> }) {
   const [draft, setDraft] = useState<string>()
-  const [error, setError] = useState<Trouble>()
+  const [error, setError] = useState<PageError>()
   const input = useRef<HTMLInputElement>(null)
   const isEditing = draft !== undefined
   useEffect(() => input.current?.select(), [isEditing])

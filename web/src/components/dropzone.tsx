@@ -1,6 +1,6 @@
 import { useEffect, useRef, useState } from 'preact/hooks'
 import { get, post } from '../api/client'
-import { explain, type Trouble } from '../api/trouble'
+import { explain, type PageError } from '../api/page-error'
 import type { Capture } from '../api/types'
 import { nameOf, selection, upload, type Dropped, type Selection } from '../api/upload'
 import { filesIn, filesOf } from '../dropped'
@@ -24,7 +24,7 @@ export function DropZone({ onDone }: { onDone: (capture: Capture) => void }) {
   const [over, setOver] = useState(false)
   const [sending, setSending] = useState<Sending>()
   const [photographs, setPhotographs] = useState<Dropped[]>([])
-  const [error, setError] = useState<Trouble>()
+  const [error, setError] = useState<PageError>()
   const [again, setAgain] = useState<() => void>()
   const stop = useRef<AbortController | undefined>(undefined)
   const archive = useRef<HTMLInputElement>(null)

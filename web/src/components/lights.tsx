@@ -1,13 +1,13 @@
 import { useRef, useState } from 'preact/hooks'
 import { ask } from '../api/client'
-import { explain, type Trouble } from '../api/trouble'
+import { explain, type PageError } from '../api/page-error'
 import type { Environment, Environments } from '../api/types'
 import { called } from '../format'
 import { Failure, Picture } from './common'
 
 /** Selects the light of a model. Each option shows the model under that light. */
 export function Lights(props: { model: string; value: string; lights: Environments | undefined; onChange: (light: string) => void; onAdded: () => void }) {
-  const [error, setError] = useState<Trouble>()
+  const [error, setError] = useState<PageError>()
   const [busy, setBusy] = useState(false)
   const input = useRef<HTMLInputElement>(null)
   const uploaded = props.lights?.items ?? []

@@ -9,8 +9,8 @@ export function Notify({ isOver, text }: { isOver: boolean; text: string }) {
       setState('off')
     }
   }, [isOver, state, text])
-  // Browsers offer notifications only on localhost and over https.
-  if (isOver || !('Notification' in window) || !window.isSecureContext) return null
+  // Browsers offer notifications only on localhost and over https. On Android a page alone cannot show one: the constructor throws.
+  if (isOver || !('Notification' in window) || !window.isSecureContext || /Android/.test(navigator.userAgent)) return null
   const ask = async () => setState((await Notification.requestPermission()) === 'granted' ? 'on' : 'denied')
   if (state === 'off') return <div class="row"><button type="button" onClick={() => void ask()}>Notify me when it is done</button></div>
   return <span class="hint" role="status">{state === 'on' ? 'The browser tells you when it is done, while this tab stays open.' : 'The browser does not allow notifications of this page. Its settings can change that.'}</span>

@@ -1,6 +1,6 @@
 import { useEffect, useState } from 'preact/hooks'
 import { address, apiKey, post, remove } from '../api/client'
-import { explain, type Trouble } from '../api/trouble'
+import { explain, type PageError } from '../api/page-error'
 import type { Environments, Export, Listed, SignedUrl } from '../api/types'
 import { bytes, called, spoken } from '../format'
 import { useLoaded } from '../hooks'
@@ -19,7 +19,7 @@ export function TakeAlong({ model, look, view, lights }: { model: string; look: 
   const [what, setWhat] = useState<Taken>('frames')
   const [frames, setFrames] = useState(60)
   const [side, setSide] = useState(512)
-  const [error, setError] = useState<Trouble>()
+  const [error, setError] = useState<PageError>()
   const [isMaking, setMaking] = useState(false)
   const made = useLoaded<Listed<Export>>(`v1/exports?limit=8&model=${encodeURIComponent(model)}`, isMaking ? EVERY : undefined)
   const exports = made.data?.items ?? []

@@ -1,6 +1,6 @@
 import { useState } from 'preact/hooks'
 import { post } from '../api/client'
-import { explain, type Trouble } from '../api/trouble'
+import { explain, type PageError } from '../api/page-error'
 import type { Capture, GreyCard, Job, NewJob } from '../api/types'
 import { called, count, spoken } from '../format'
 import { go, link } from '../router'
@@ -40,7 +40,7 @@ export function NewTraining({ captures, chosen, jobs }: { captures: Capture[]; c
   const [preset, setPreset] = useState('draft')
   const [balance, setBalance] = useState('')
   const [card, setCard] = useState<GreyCard>()
-  const [error, setError] = useState<Trouble>()
+  const [error, setError] = useState<PageError>()
   const isPreset = time === 'preset'
   const hasMasks = captures.find((one) => one.id === capture)?.report.has_alpha ?? false
   const start = (event: SubmitEvent) => {

@@ -1,6 +1,6 @@
 import { useEffect, useState } from 'preact/hooks'
 import { ask } from '../api/client'
-import { explain, type Trouble } from '../api/trouble'
+import { explain, type PageError } from '../api/page-error'
 import type { Environments, Photograph, Photographs, RenderRequest } from '../api/types'
 import { useLoaded } from '../hooks'
 import { requestAt, type Look } from '../look'
@@ -67,8 +67,8 @@ function useTaken(of: Photograph | undefined): { url?: string; isMissing?: boole
 }
 
 /** The frame of a request. The previous frame stays until the new one has arrived. */
-function useFrame(model: string, request: RenderRequest | undefined): { url?: string; error?: Trouble } {
-  const [shown, setShown] = useState<{ url?: string; error?: Trouble }>({})
+function useFrame(model: string, request: RenderRequest | undefined): { url?: string; error?: PageError } {
+  const [shown, setShown] = useState<{ url?: string; error?: PageError }>({})
   const body = request ? JSON.stringify(request) : undefined
   useEffect(() => {
     if (!body) return

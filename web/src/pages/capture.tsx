@@ -1,6 +1,6 @@
 import { useEffect, useState } from 'preact/hooks'
 import { patch, remove } from '../api/client'
-import { explain, troubleOf, type Trouble } from '../api/trouble'
+import { explain, pageErrorOf, type PageError } from '../api/page-error'
 import type { Capture, Photographs, Report } from '../api/types'
 import { Facts, Failure, Head, Missing } from '../components/common'
 import { Notify } from '../components/notify'
@@ -17,7 +17,7 @@ export function CapturePage({ id }: { id: string }) {
   useEffect(() => setIsWaiting(capture?.state === 'validating'), [capture?.state])
   const isReady = capture && (capture.state ?? 'ready') === 'ready'
   const taken = useLoaded<Photographs>(isReady ? `v1/captures/${encodeURIComponent(id)}/photographs?convention=opengl` : undefined)
-  const [failed, setFailed] = useState<Trouble>()
+  const [failed, setFailed] = useState<PageError>()
   useTitle(capture ? called(capture, 'Capture') : 'Capture')
   const discard = () => {
     if (!confirm('Delete this capture? Models that were made of it stay.')) return
@@ -61,7 +61,7 @@ function Validation({ of: { report, bytes: size, problem, state } }: { of: Captu
   return (
     <section class="card stack" aria-labelledby="report">
       <h2 id="report">What the server found</h2>
-      <Failure error={problem ? troubleOf(problem, problem.status) : undefined} />
+      <Failure error={problem ? pageErrorOf(problem, problem.status) : undefined} />
       {problem ? <div class="row"><a class="button" href={link(['captures'])}>Send other files</a></div> : null}
       {state === 'validating' ? <p>The server checks the files.</p> : null}
       {(state ?? 'ready') === 'ready' ? <Found report={report} size={size} /> : null}

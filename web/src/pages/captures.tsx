@@ -1,6 +1,6 @@
 import type { Capture, Listed, Upload } from '../api/types'
 import { Badge, Failure, Head } from '../components/common'
-import { Cover } from '../components/cover'
+import { CaptureThumbnail } from '../components/capture-thumbnail'
 import { DropZone } from '../components/dropzone'
 import { called, moment } from '../format'
 import { useLoaded, useTitle } from '../hooks'
@@ -50,7 +50,7 @@ function Tiles({ of: captures }: { of: Capture[] }) {
       <ul class="tiles">
         {captures.map((capture) => (
           <li class="tile" key={capture.id}>
-            <Cover capture={capture.id} />
+            <CaptureThumbnail capture={capture.id} />
             <div class="text">
               <a class="over" href={link(['captures', capture.id])}>{called(capture, 'Capture')}</a>
               <p class="muted small">{capture.report.train_images + capture.report.test_images} photographs · {moment(capture.created_at)}</p>

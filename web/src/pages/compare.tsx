@@ -1,5 +1,5 @@
 import { useState } from 'preact/hooks'
-import type { Trouble } from '../api/trouble'
+import type { PageError } from '../api/page-error'
 import type { Job, Model } from '../api/types'
 import { Failure, Head, Picture } from '../components/common'
 import { Plot } from '../components/plot'
@@ -59,7 +59,7 @@ export function ComparePage({ a, b }: { a: string; b: string }) {
 interface Side {
   job: Job | undefined
   model: Model | undefined
-  error: Trouble | undefined
+  error: PageError | undefined
   /** Whether all data has been loaded. */
   isComplete: boolean
 }

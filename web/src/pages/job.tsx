@@ -1,7 +1,7 @@
 import type { ComponentChildren } from 'preact'
 import { useEffect, useState } from 'preact/hooks'
 import { patch, post, remove } from '../api/client'
-import { explain, type Trouble } from '../api/trouble'
+import { explain, type PageError } from '../api/page-error'
 import { hasEnded, jobEvents, type JobEvent } from '../api/events'
 import type { Job, JobState, Model } from '../api/types'
 import { Facts, Failure, Head, Missing } from '../components/common'
@@ -50,7 +50,7 @@ export function JobPage({ id }: { id: string }) {
   // The events have the progress; the poll tells whether the server still answers.
   const { data: job, error, reload } = useLoaded<Job>(path, isOver ? undefined : POLL)
   const events = useEvents(id)
-  const [failed, setFailed] = useState<Trouble>()
+  const [failed, setFailed] = useState<PageError>()
   const states = events.filter((event) => event.kind === 'state')
   const state = states.at(-1)?.state ?? job?.state
   useTitle(job ? called(job, 'Job') : 'Job')

@@ -1,12 +1,12 @@
 import { useCallback, useEffect, useState } from 'preact/hooks'
 import { ask, patch, remove } from '../api/client'
-import { explain, type Trouble } from '../api/trouble'
+import { explain, type PageError } from '../api/page-error'
 import type { Environments, Model } from '../api/types'
 import { Choices, Facts, Failure, Head, Missing, save, Slider } from '../components/common'
 import { Lights } from '../components/lights'
-import { SideBySide } from '../components/side'
+import { LightComparison } from '../components/light-comparison'
 import { TakeAlong } from '../components/take'
-import { Theatre } from '../components/theatre'
+import { ViewerPanel } from '../components/viewer-panel'
 import { Wipe } from '../components/wipe'
 import { bytes, called, count, decibels, duration, quality, share } from '../format'
 import { useLoaded, useTitle } from '../hooks'
@@ -24,7 +24,7 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
   const [look, setLook] = useState<Look>(() => readLook(query))
   const [view, setView] = useState<View>()
   const [centre, setCentre] = useState<View['target']>()
-  const [failed, setFailed] = useState<Trouble>()
+  const [failed, setFailed] = useState<PageError>()
   useTitle(model ? called(model, 'Model') : 'Model')
   const change = (some: Partial<Look>) => setLook((before) => ({ ...before, ...some }))
   useEffect(() => {
@@ -51,8 +51,8 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
       {model ? (
         <div class="viewing">
           <div class="stack">
-            <Theatre model={model} look={look} query={query} lights={lights.data} onView={seen} view={view} onRotation={(rotation) => change({ rotation })} />
-            <SideBySide model={id} view={view} lights={lights.data} onChange={(light) => change({ light })} />
+            <ViewerPanel model={model} look={look} query={query} lights={lights.data} onView={seen} view={view} onRotation={(rotation) => change({ rotation })} />
+            <LightComparison model={id} view={view} lights={lights.data} onChange={(light) => change({ light })} />
             <section class="card stack" aria-labelledby="wipe">
               <h2 id="wipe">Against a photograph</h2>
               <Wipe model={id} capture={model.capture} look={look} lights={lights.data} />
@@ -121,7 +121,7 @@ function Figures({ of: model }: { of: Model }) {
   )
 }
 
-function Files({ of: model, onError }: { of: Model; onError: (error: Trouble) => void }) {
+function Files({ of: model, onError }: { of: Model; onError: (error: PageError) => void }) {
   // `fetch` sends the API key; a link does not.
   const fetchFile = (href: string, name: string) => ask(href).then((answer) => answer.blob()).then((blob) => save(blob, name), (error: unknown) => onError(explain(error)))
   return (

@@ -5,7 +5,7 @@ import type { View } from '../look'
 import { Picture } from './common'
 
 /** The model under every light, from the direction of the current view. */
-export function SideBySide({ model, view, lights, onChange }: { model: string; view: View | undefined; lights: Environments | undefined; onChange: (light: string) => void }) {
+export function LightComparison({ model, view, lights, onChange }: { model: string; view: View | undefined; lights: Environments | undefined; onChange: (light: string) => void }) {
   const [shown, setShown] = useState<{ azimuth: number; elevation: number }>()
   const all = [['recovered', 'captured'], ...(lights?.builtin ?? []).map((name) => [name, name]), ...(lights?.items ?? []).map((one) => [one.id, called(one, 'Light')])] as [string, string][]
   const show = () => view && setShown({ azimuth: Math.round(view.azimuth), elevation: Math.round(view.elevation) })

@@ -2,7 +2,7 @@ import { Refused } from './client'
 import type { Problem } from './types'
 
 /** An error in the words of the page. */
-export interface Trouble {
+export interface PageError {
   /** What happened, one sentence. */
   what: string
   /** What the user can do, one sentence. */
@@ -15,7 +15,7 @@ export interface Trouble {
 export const GONE = 'The server does not have this.'
 
 /** What happened and what to do, by the kind of the problem (docs/errors.md). */
-const KINDS: Record<string, Omit<Trouble, 'detail'>> = {
+const KINDS: Record<string, Omit<PageError, 'detail'>> = {
   'not-found': { what: GONE, remedy: 'Somebody may have deleted it, or the link is incomplete.' },
   forbidden: { what: 'Your key does not permit this.', remedy: 'Ask the operator of the server for a key with more rights.' },
   'too-large': { what: 'This is larger than the server accepts.', remedy: 'Send fewer or smaller photographs, or ask the operator to raise the limit.' },
@@ -36,7 +36,7 @@ const KINDS: Record<string, Omit<Trouble, 'detail'>> = {
 }
 
 /** The same for uploads whose content cannot be used, by the code of the content. */
-const CONTENTS: Record<string, Omit<Trouble, 'detail'>> = {
+const CONTENTS: Record<string, Omit<PageError, 'detail'>> = {
   capture_archive_damaged: { what: 'The file is damaged, or it is not a zip or tar.', remedy: 'Make the archive again and send it again.' },
   capture_archive_unsafe: { what: 'The archive contains paths that lead out of it.', remedy: 'Make the archive again from the folder of the capture.' },
   capture_over_limit: { what: 'The archive is larger than the server accepts.', remedy: 'Leave out photographs, or make them smaller.' },
@@ -48,7 +48,7 @@ const CONTENTS: Record<string, Omit<Trouble, 'detail'>> = {
 }
 
 /** An error response in the words of the page. */
-export function troubleOf(problem: Problem | null | undefined, status: number): Trouble {
+export function pageErrorOf(problem: Problem | null | undefined, status: number): PageError {
   const kind = problem?.type.split(':').pop() ?? ''
   const said = problem?.detail ?? problem?.title ?? `The server answered ${status}.`
   const known = CONTENTS[problem?.content?.code ?? ''] ?? KINDS[kind]
@@ -57,8 +57,8 @@ export function troubleOf(problem: Problem | null | undefined, status: number): 
 }
 
 /** Any error in the words of the page. */
-export function explain(error: unknown): Trouble {
-  if (error instanceof Refused) return troubleOf(error.problem, error.status)
+export function explain(error: unknown): PageError {
+  if (error instanceof Refused) return pageErrorOf(error.problem, error.status)
   if (error instanceof TypeError) return { what: 'The server does not answer.', remedy: 'Check that this device is connected and that the server runs, then try again.' }
   return { what: error instanceof Error ? error.message : String(error) }
 }

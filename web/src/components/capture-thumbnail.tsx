@@ -3,7 +3,7 @@ import { useLoaded, useSeen } from '../hooks'
 import { Picture } from './common'
 
 /** The first photograph of a capture, small. It is loaded when it comes into view. */
-export function Cover({ capture }: { capture: string }) {
+export function CaptureThumbnail({ capture }: { capture: string }) {
   const [element, isSeen] = useSeen<HTMLDivElement>()
   const taken = useLoaded<Photographs>(isSeen ? `v1/captures/${encodeURIComponent(capture)}/photographs` : undefined)
   const first = taken.data?.photographs[0]

@@ -1,6 +1,6 @@
 import { useEffect, useRef, useState } from 'preact/hooks'
 import { address, apiKey } from '../api/client'
-import { explain, type Trouble } from '../api/trouble'
+import { explain, type PageError } from '../api/page-error'
 import type { Environments, Model } from '../api/types'
 import { bytes, called } from '../format'
 import { backgroundOf, curl, readView, requestOf, type Look, type View } from '../look'
@@ -12,7 +12,7 @@ import { LightDial } from './dial'
 /** Width and height of the frame in the curl command, pixels. */
 const COMMAND_SIZE = 1024
 
-interface TheatreProps {
+interface ViewerPanelProps {
   model: Model
   look: Look
   query: URLSearchParams
@@ -28,13 +28,13 @@ interface Arrived {
 }
 
 /** The viewer's element and what its events have told. */
-function useViewer(onView: TheatreProps['onView']) {
+function useViewer(onView: ViewerPanelProps['onView']) {
   const viewer = useRef<RelumeViewer>(null)
   const [mode, setMode] = useState<string>()
   const [isReady, setReady] = useState(false)
   const [isWaiting, setWaiting] = useState(false)
   const [arrived, setArrived] = useState<Arrived>()
-  const [error, setError] = useState<Trouble>()
+  const [error, setError] = useState<PageError>()
   useEffect(() => {
     const element = viewer.current
     if (!element) return
@@ -58,7 +58,7 @@ function useViewer(onView: TheatreProps['onView']) {
 }
 
 /** The viewer and the actions on its picture. */
-export function Theatre({ model, look, query, lights, view, onView, onRotation }: TheatreProps) {
+export function ViewerPanel({ model, look, query, lights, view, onView, onRotation }: ViewerPanelProps) {
   const frame = useRef<HTMLDivElement>(null)
   // The initial camera comes from the URL; later the viewer reports its camera.
   const [start] = useState(() => readView(query))
@@ -79,7 +79,7 @@ export function Theatre({ model, look, query, lights, view, onView, onRotation }
     if (viewer.current) viewer.current.apiKey = apiKey()
   }
   return (
-    <section class="theatre" aria-label="Viewer">
+    <section class="viewer-panel" aria-label="Viewer">
       <div class="frame" ref={frame}>
         <relume-viewer
           ref={viewer}
