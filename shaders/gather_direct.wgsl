@@ -2,11 +2,10 @@
 // dominant lights, and the share of its irradiance that a diffuse surface reflects (albedo (1 - metal) / pi). A thread owns
 // one Gaussian. No workgroup memory.
 #import attributes
-#import cube_grid
 #import finite
-#import generated/light
 #import index
 #import measured
+#import sky
 #import tables
 
 const WG_SIZE = 256u;
@@ -34,19 +33,6 @@ fn of_lights(gaussian_ix: u32, normal: vec3f) -> vec3f {
     return sum;
 }
 
-// Dot product of the row of one colour of one node with the Gaussian's visibility.
-fn through_visibility(gaussian_ix: u32, row: u32) -> f32 {
-    if model.visibility_form == VISIBILITY_OFF {
-        return values[row] * UNOCCLUDED_SH0;
-    }
-    let first = model.visibility + model.n_visibility * gaussian_ix;
-    var sum = 0.0;
-    for (var k = 0u; k < min(model.n_visibility, shape.coefficients); k++) {
-        sum += values[row + k] * params[first + k];
-    }
-    return sum;
-}
-
 @compute @workgroup_size(256)
 fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg: vec3u) {
     let gaussian_ix = invocation_ix(gid, n_wg);
@@ -58,20 +44,10 @@ fn main(@builtin(global_invocation_id) gid: vec3u, @builtin(num_workgroups) n_wg
     var lights = vec3f(0.0);
     // Parameters that are not finite give a normal that is not finite.
     if is_finite(normal.x) && is_finite(normal.y) && is_finite(normal.z) {
-        let taps = cube_taps(shape.diffuse_n, normal);
-#repeat k 4
-        {
-            let row = taps.node[$k] * 3u * shape.coefficients;
-            sky += taps.weight[$k] * vec3f(
-                through_visibility(gaussian_ix, row),
-                through_visibility(gaussian_ix, row + shape.coefficients),
-                through_visibility(gaussian_ix, row + 2u * shape.coefficients),
-            );
-        }
-#end
+        sky = sky_irradiance(gaussian_ix, normal);
         lights = of_lights(gaussian_ix, normal);
     }
-    direct[gaussian_ix] = vec4f(max(sky, vec3f(0.0)) + lights, 0.0);
+    direct[gaussian_ix] = vec4f(sky + lights, 0.0);
     let rest = 1.0 - sigmoid(params[model.metal + gaussian_ix]);
     let albedo = clamp(albedo_of(gaussian_ix), vec3f(0.0), vec3f(1.0));
     diffuse[gaussian_ix] = vec4f(albedo * rest * FRAC_1_PI, 0.0);

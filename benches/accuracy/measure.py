@@ -1,6 +1,6 @@
 """Trains and evaluates every row of the accuracy tables, and writes one JSON file a table and a Markdown page of all tables.
 
-Usage: python3 measure.py DATA LIGHTS WORK [--tables NAME,NAME] [--relume PROGRAM]
+Usage: python3 measure.py DATA LIGHTS WORK [--tables NAME,NAME] [--seeds N,N] [--relume PROGRAM]
 
 DATA has the folder `scenes` of CONTRIBUTING.md. LIGHTS has the captures of benches/lights.py, in folders named SCENE-LIGHT. WORK keeps a report for each
 training, so an interrupted run continues where it stopped; use one WORK for each commit. The tables and the page are in WORK as well.
@@ -85,11 +85,11 @@ def measure(table, args):
         {
             "scene": scene,
             "variant": variant["name"],
-            "runs": [measure_row(table, scene, variant, seed, args) for seed in variant["seeds"]],
+            "runs": [measure_row(table, scene, variant, seed, args) for seed in variant["seeds"] if seed in args.seeds],
         }
         for scene in table["scenes"]
         for variant in table["variants"]
-        if scene not in variant.get("without", ())
+        if scene not in variant.get("without", ()) and set(variant["seeds"]) & set(args.seeds)
     ]
     head = {key: table[key] for key in ("name", "title", "about", "preset", "resolution")}
     commit = subprocess.run(["git", "-C", str(REPOSITORY), "rev-parse", "--short=8", "HEAD"], capture_output=True, text=True)
@@ -103,6 +103,7 @@ def main():
     parser.add_argument("lights")
     parser.add_argument("work")
     parser.add_argument("--tables", default=",".join(t["name"] for t in TABLES if t["default"]))
+    parser.add_argument("--seeds", type=lambda text: [int(seed) for seed in text.split(",")], default=[0, 1, 2], help="only these of a table's seeds")
     parser.add_argument("--relume", default=str(REPOSITORY / "target/release/relume"))
     args = parser.parse_args()
     wanted = args.tables.split(",")

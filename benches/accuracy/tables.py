@@ -22,12 +22,22 @@ TABLES = [
     {
         "name": "light",
         "title": "The light unknown and known",
-        "about": "Three seeds with the light unknown; the mean and, after ±, the standard deviation of the seeds.",
+        "about": "With several seeds: the mean and, after ±, the standard deviation of the seeds.",
         "default": True,
         "preset": "draft",
         "resolution": 128,
         "scenes": GROUPS["scenes"] + GROUPS["lights"],
         "variants": [{"name": "light unknown", "seeds": [0, 1, 2], "train": []}, KNOWN],
+    },
+    {
+        "name": "parts",
+        "title": "Without parts of the light",
+        "about": "The light unknown; the first table has the same trainings with all parts.",
+        "default": True,
+        "preset": "draft",
+        "resolution": 128,
+        "scenes": GROUPS["scenes"] + GROUPS["lights"],
+        "variants": [{"name": "without shadows of the sky", "seeds": [0], "train": ["--set", 'shading={"sky_shadows":false}']}],
     },
     {
         "name": "methods",

@@ -48,7 +48,7 @@ pub fn piece(name: &str) -> Option<String> {
         "light" => light(),
         "objective" => objective(),
         "occlusion" => {
-            list![constants: NO_HIT, MIN_TRANSMITTANCE, MAX_OCCLUDER_VARIANCE, MIN_BLOCKED_SHARE, TREE_DEPTH]
+            list![constants: NO_HIT, MIN_TRANSMITTANCE, MAX_OCCLUDER_VARIANCE, MIN_BLOCKED_SHARE, SKY_SHADOW_LEVEL, TREE_DEPTH]
         }
         "parameters" => parameters(),
         "projection" => {

@@ -5,10 +5,14 @@ use std::borrow::Cow;
 
 use crate::cpu::training::{self, environment_radiance};
 use crate::cpu::{
-    self, AttributeSource, Pass, SurfaceShader, outward_normals, radiance_image, sky_irradiance,
+    self, AttributeSource, Pass, Probes, SurfaceShader, Transport, outward_normals, radiance_image,
+    sky_irradiance,
 };
 use crate::step::{Branches, Photo};
-use crate::{LightRotation, LightRotations, NO_INDIRECT_BASIS, RasterCamera, TrainState, indirect_basis};
+use crate::{
+    LightRotation, LightRotations, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, TrainState,
+    fibonacci_sphere, indirect_basis,
+};
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables};
@@ -144,6 +148,20 @@ fn irradiance_under(
         std::array::from_fn(|c| sky[c] + gathered[c])
     };
     (0..state.model.gaussians.len()).map(of).collect()
+}
+
+/// Light that every Gaussian gathers from the model's other surfaces under the present light, at rotation 0 and without the shadows of
+/// the sky: irradiance, mean blocked radiance. It is measured in `directions` directions over `bounces` rounds.
+pub fn gathered_from_surfaces(
+    state: &TrainState,
+    operators: &EnvOperators,
+    directions: usize,
+    bounces: usize,
+) -> Vec<[f32; 6]> {
+    let source = source(state);
+    let probes = Probes::measure(&source, fibonacci_sphere(directions), ProbeSettings::of(source.options));
+    let tables = operators.apply(&environment_radiance(&state.model));
+    Transport::new(&probes, outward_normals(&source)).gather(&source, &tables, bounces)
 }
 
 /// Tables of the mean light of the photographs: tables are linear in the light.

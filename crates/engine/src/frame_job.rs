@@ -3,8 +3,8 @@
 use crate::RasterCamera;
 use relume_scene::Output;
 
-/// Number of probe directions for the gathered light of a frame.
-pub const PROBE_DIRECTIONS: usize = 96;
+/// Number of probe directions for the gathered light and the shadows of the sky of a frame.
+pub const PROBE_DIRECTIONS: usize = 128;
 /// Number of bounces of the gathered light of a frame.
 pub const BOUNCES: usize = 3;
 

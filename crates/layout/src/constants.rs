@@ -54,6 +54,9 @@ pub const TREE_DEPTH: usize = 34;
 /// Smallest blocked share of a direction from which light is gathered.
 pub const MIN_BLOCKED_SHARE: f32 = 0.02;
 
+/// Level of [`SPECULAR_LEVELS`](crate::light::SPECULAR_LEVELS) that has the radiance around a direction of a probe.
+pub const SKY_SHADOW_LEVEL: usize = 1;
+
 /// Largest relative difference between a depth on a Gaussian's plane and its centre's depth. Beyond it the camera sees the
 /// plane edge-on.
 pub const MAX_PLANE_DEPTH_ERROR: f32 = 0.05;

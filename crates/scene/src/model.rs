@@ -90,6 +90,10 @@ pub struct ShadingOptions {
     pub normal: NormalForm,
     /// Indirect light.
     pub indirect: IndirectForm,
+    /// True: the diffuse term has the shadows of the sky in single directions, where indirect light is gathered. False: only through the
+    /// visibility field, as in models of earlier versions.
+    #[serde(default)]
+    pub sky_shadows: bool,
     /// Screen-space low-pass added to the projected covariance, px^2.
     pub low_pass: f32,
     /// Scales the opacity so that the low-pass does not change the total weight of a splat (Mip-Splatting).
@@ -107,6 +111,14 @@ impl ShadingOptions {
     /// True where shading uses dominant lights, each with its own shadow.
     pub fn shades_lights(&self) -> bool {
         self.shade_at == ShadeAt::Gaussian && self.visibility != VisibilityForm::Off
+    }
+
+    /// True where gathered light contains the shadows of the sky in single directions.
+    pub fn has_sky_shadows(&self) -> bool {
+        self.sky_shadows
+            && self.indirect == IndirectForm::Gathered
+            && self.visibility == VisibilityForm::Linear
+            && self.diffuse == DiffuseForm::Directional
     }
 
     /// The first number that is out of range, and its range.
@@ -134,6 +146,7 @@ impl Default for ShadingOptions {
             shade_at: ShadeAt::default(),
             normal: NormalForm::default(),
             indirect: IndirectForm::default(),
+            sky_shadows: true,
             low_pass: 0.3,
             low_pass_compensation: true,
             occluder_reach: None,

@@ -12,8 +12,10 @@ use relume_scene::{
     SplitLight,
 };
 
-/// The header version that this build writes. It reads versions 1 to 5.
-const VERSION: u32 = 5;
+/// The header version that this build writes. It reads versions 1 to 6.
+const VERSION: u32 = 6;
+/// Version of models without shadows of the sky in single directions; read unchanged.
+const WITHOUT_SKY_SHADOWS: u32 = 5;
 /// Version of models without sampling rates, whose diffuse term has the whole light; read unchanged.
 const WITHOUT_SAMPLING_RATES: u32 = 4;
 /// Version of models without sheen; read unchanged.
@@ -178,7 +180,7 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
     let text = text.ok_or_else(|| bad("header", "is missing: this is not a Relume model".into()))?;
     let mut header: ModelHeader = serde_json::from_str(text).map_err(|e| bad("header", e.to_string()))?;
     match header.version {
-        VERSION | WITHOUT_SAMPLING_RATES | WITHOUT_SHEEN | DIFFUSE_AT_GAUSSIANS => {}
+        VERSION | WITHOUT_SKY_SHADOWS | WITHOUT_SAMPLING_RATES | WITHOUT_SHEEN | DIFFUSE_AT_GAUSSIANS => {}
         ALL_DEFERRED => header.shading.shade_at = ShadeAt::Pixel,
         other => {
             return Err(bad("version", format!("is {other}; this build reads {ALL_DEFERRED} to {VERSION}")));
@@ -320,6 +322,7 @@ mod tests {
             let text =
                 header(&model).replace(&format!("\"version\":{VERSION}"), &format!("\"version\":{version}"));
             let text = text.replace("\"shade_at\":\"gaussian\",", shade_at);
+            let text = if version < VERSION { text.replace("\"sky_shadows\":true,", "") } else { text };
             let metadata = HashMap::from([(HEADER_KEY.to_owned(), text)]);
             decode(&safetensors::serialize(tensors(&model), Some(metadata)).unwrap())
         };
@@ -329,6 +332,9 @@ mod tests {
         assert_eq!(read(2, "\"diffuse_at\":\"pixel\","), ShadeAt::Pixel);
         assert_eq!(read(3, "\"shade_at\":\"pixel\","), ShadeAt::Pixel, "the control");
         assert_eq!(read(4, "\"shade_at\":\"pixel\","), ShadeAt::Pixel);
+        let sky_shadows = |version| at(version, "\"shade_at\":\"gaussian\",").unwrap().shading.sky_shadows;
+        assert!(!sky_shadows(5), "older models look as before");
+        assert!(sky_shadows(VERSION), "the control");
         assert!(at(VERSION + 1, "").unwrap_err().to_string().contains("version"));
     }
 

@@ -262,6 +262,11 @@ impl AttributeSource<'_> {
         })
     }
 
+    /// Shading normal of Gaussian `i` as seen from the side of `outward`.
+    pub fn normal_towards(&self, i: usize, outward: [f32; 3]) -> [f32; 3] {
+        self.normal(i, &self.geometry(i), outward.map(|v| -v)).unit
+    }
+
     fn normal(&self, i: usize, geometry: &Geometry, to_mean: [f32; 3]) -> Normal {
         let raw: [f32; 3] = self.gaussians.get(Field::Normal, i);
         let (axis, sign) = match self.options.normal {

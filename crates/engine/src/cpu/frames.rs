@@ -57,12 +57,14 @@ impl FrameLight for HostLight {
     }
 
     fn render_by_rays(&self, job: &FrameJob<'_>, rays: &RayLight<'_>) -> Result<Frame, DeviceError> {
-        let (source, occluders) = (self.source(), self.model.occluders());
+        let occluders = self.model.occluders();
         Ok(match *rays {
             RayLight::Sharp { lights, rest } => {
+                let source = self.source_without_sharp_lights(rest);
                 sharp_lights::render(job, (&source, &self.shader(rest)), lights, occluders)
             }
             RayLight::Sampled { environment, samples, seed, pixels_before } => {
+                let source = self.source_without_sky_shadows();
                 let lit = (&source, &self.shader(&self.tables));
                 monte_carlo::render(job, lit, (environment, samples), (seed, pixels_before), occluders)
             }

@@ -113,6 +113,23 @@ impl Transport {
 /// Irradiance of Gaussian `i`, with outward unit normal `normal`: the sky through its visibility, plus the arriving shares of
 /// the dominant lights.
 pub fn sky_irradiance(source: &AttributeSource<'_>, tables: &LightTables, normal: Vec3, i: usize) -> Vec3 {
+    let mut out = through_visibility(source, tables, normal, i);
+    for (light, arriving) in tables.lights.iter().zip(source.arriving_at(i)) {
+        let cos: f32 = (0..3).map(|k| normal[k] * light.direction[k]).sum();
+        if cos > 0.0 {
+            (0..3).for_each(|c| out[c] += arriving * cos * light.irradiance[c]);
+        }
+    }
+    out
+}
+
+/// Irradiance of Gaussian `i`, with unit normal `normal`, by the sky through its visibility.
+pub(super) fn through_visibility(
+    source: &AttributeSource<'_>,
+    tables: &LightTables,
+    normal: Vec3,
+    i: usize,
+) -> Vec3 {
     let taps = tables.diffuse_grid.lookup(normal);
     let c = source.gaussians.row(Field::Visibility, i);
     let open = source.options.visibility == VisibilityForm::Off;
@@ -124,12 +141,5 @@ pub fn sky_irradiance(source: &AttributeSource<'_>, tables: &LightTables, normal
             *o += taps.weight[k] * e;
         }
     }
-    let mut out = out.map(|e| e.max(0.0));
-    for (light, arriving) in tables.lights.iter().zip(source.arriving_at(i)) {
-        let cos: f32 = (0..3).map(|k| normal[k] * light.direction[k]).sum();
-        if cos > 0.0 {
-            (0..3).for_each(|c| out[c] += arriving * cos * light.irradiance[c]);
-        }
-    }
-    out
+    out.map(|e| e.max(0.0))
 }

@@ -4,8 +4,8 @@
 use std::sync::{Arc, OnceLock};
 
 use crate::cpu::{
-    AttributeSource, OccluderBvh, Pass, Probes, Surface, SurfaceShader, Transport, arriving, outward_normals,
-    resolve, surface_at, surface_point,
+    AttributeSource, OccluderBvh, Pass, Probes, SkyShadows, Surface, SurfaceShader, Transport, arriving,
+    outward_normals, resolve, surface_at, surface_point,
 };
 use crate::{
     BOUNCES, Frame, NO_INDIRECT_BASIS, PROBE_DIRECTIONS, ProbeSettings, RasterCamera, fibonacci_sphere,
@@ -22,8 +22,15 @@ use relume_scene::{
 /// A model on the host. Data that does not depend on the light is computed on first use.
 pub struct HostModel {
     model: Arc<Model>,
-    transport: OnceLock<Transport>,
+    occlusion: OnceLock<Occlusion>,
     occluders: OnceLock<OccluderBvh>,
+}
+
+/// What a model's surfaces hide from each other.
+struct Occlusion {
+    transport: Transport,
+    /// `None` where the model has no shadows of the sky in single directions.
+    sky: Option<SkyShadows>,
 }
 
 /// A light prepared for a model on the host.
@@ -33,6 +40,10 @@ pub struct HostLight {
     pub tables: LightTables,
     /// Irradiance and mean blocked radiance from the model's other surfaces, per Gaussian.
     gathered: Vec<[f32; 6]>,
+    /// The same with the shadows of the sky under `tables`; `None` where the model has none.
+    with_sky_shadows: Option<Vec<[f32; 6]>>,
+    /// The same with the shadows of the sky without its sharp lights, computed on first use.
+    of_the_rest: OnceLock<Vec<[f32; 6]>>,
     /// Share of each dominant light that arrives, per Gaussian.
     arriving: Vec<[f32; MAX_LIGHTS]>,
     indirect_basis: [[f32; 3]; 16],
@@ -41,7 +52,7 @@ pub struct HostLight {
 impl HostModel {
     /// Wraps a checked model.
     pub fn new(model: Arc<Model>) -> Self {
-        Self { model, transport: OnceLock::new(), occluders: OnceLock::new() }
+        Self { model, occlusion: OnceLock::new(), occluders: OnceLock::new() }
     }
 
     /// The model.
@@ -64,17 +75,27 @@ impl HostModel {
         let lights: Vec<SplitLight> = tables.lights.iter().map(SplitLight::from).collect();
         let arriving = arriving(&self.source(&[], &[], &NO_INDIRECT_BASIS), &lights);
         let source = self.source(&[], &arriving, &NO_INDIRECT_BASIS);
-        let mut gathered = Vec::new();
+        let (mut gathered, mut with_sky_shadows) = (Vec::new(), None);
         if source.options.indirect == IndirectForm::Gathered {
-            let transport = self.transport.get_or_init(|| {
-                let directions = fibonacci_sphere(PROBE_DIRECTIONS);
-                let probes = Probes::measure(&source, directions, ProbeSettings::of(source.options));
-                Transport::new(&probes, outward_normals(&source))
-            });
-            gathered = transport.gather(&source, &tables, BOUNCES);
+            let occlusion = self.occlusion(&source);
+            gathered = occlusion.transport.gather(&source, &tables, BOUNCES);
+            with_sky_shadows = occlusion.shaded(&source, &tables, &gathered);
         }
         let indirect_basis = indirect_basis(&tables);
-        HostLight { model: self.clone(), tables, gathered, arriving, indirect_basis }
+        let (model, of_the_rest) = (self.clone(), OnceLock::new());
+        HostLight { model, tables, gathered, with_sky_shadows, of_the_rest, arriving, indirect_basis }
+    }
+
+    /// What the model's surfaces hide from each other, measured on first use.
+    fn occlusion(&self, source: &AttributeSource<'_>) -> &Occlusion {
+        self.occlusion.get_or_init(|| {
+            let directions = fibonacci_sphere(PROBE_DIRECTIONS);
+            let probes = Probes::measure(source, directions, ProbeSettings::of(source.options));
+            let outward = outward_normals(source);
+            let sky = source.options.has_sky_shadows();
+            let sky = sky.then(|| SkyShadows::new(source, &probes, &outward));
+            Occlusion { transport: Transport::new(&probes, outward), sky }
+        })
     }
 
     /// The occluder tree of the model.
@@ -110,6 +131,21 @@ impl HostModel {
             indirect_basis: basis,
             ..AttributeSource::new(&self.model.gaussians, &self.model.prototypes, &self.model.shading)
         }
+    }
+}
+
+impl Occlusion {
+    /// `gathered` with the shadows of the sky under `tables`.
+    fn shaded(
+        &self,
+        source: &AttributeSource<'_>,
+        tables: &LightTables,
+        gathered: &[[f32; 6]],
+    ) -> Option<Vec<[f32; 6]>> {
+        let sky = self.sky.as_ref()?;
+        let mut shaded = gathered.to_vec();
+        sky.add(source, tables, &mut shaded);
+        Some(shaded)
     }
 }
 
@@ -161,7 +197,25 @@ impl HostLight {
 
     /// The model under this light, not yet shaded.
     pub(super) fn source(&self) -> AttributeSource<'_> {
-        self.model.source(&self.gathered, &self.arriving, &self.indirect_basis)
+        self.with(self.with_sky_shadows.as_ref().unwrap_or(&self.gathered))
+    }
+
+    /// The model under this light without its sharp lights, whose tables are `rest`; the same at every call.
+    pub(super) fn source_without_sharp_lights(&self, rest: &LightTables) -> AttributeSource<'_> {
+        let source = self.source_without_sky_shadows();
+        let Some(occlusion) = self.model.occlusion.get() else { return source };
+        let shaded =
+            || occlusion.shaded(&source, rest, &self.gathered).unwrap_or_else(|| self.gathered.clone());
+        self.with(self.of_the_rest.get_or_init(shaded))
+    }
+
+    /// The model under this light where rays find the shadows of the sky.
+    pub(super) fn source_without_sky_shadows(&self) -> AttributeSource<'_> {
+        self.with(&self.gathered)
+    }
+
+    fn with<'a>(&'a self, gathered: &'a [[f32; 6]]) -> AttributeSource<'a> {
+        self.model.source(gathered, &self.arriving, &self.indirect_basis)
     }
 
     /// The shader of the model under `tables`.

@@ -7,8 +7,8 @@ use crate::cpu::adam::adam_step;
 use crate::cpu::objective::image::Target;
 use crate::cpu::objective::{aggregation, geometry, parameters};
 use crate::cpu::{
-    AttributeSource, BranchImages, BufferGradient, Pass, Probes, SurfaceShader, Transport, arriving, density,
-    outward_normals, radiance_image, radiance_image_backward,
+    AttributeSource, BranchImages, BufferGradient, Pass, Probes, SkyShadows, SurfaceShader, Transport,
+    arriving, density, outward_normals, radiance_image, radiance_image_backward,
 };
 use crate::density::{DensityPlan, DensitySignals};
 use crate::step::{FieldUpdate, PhotoId, ProbeMeasurement, Step, StepResult};
@@ -259,6 +259,26 @@ fn parameter_terms(
     loss
 }
 
+/// Light that the Gaussians gather through `probes` under each of `tables`, with the shadows of the sky. `outward`: outward normals of the
+/// measurement.
+fn gathered(
+    state: &TrainState,
+    probes: &Probes,
+    outward: Vec<[f32; 3]>,
+    tables: &[LightTables],
+    bounces: usize,
+) -> Vec<[f32; 6]> {
+    let source = source(state, &NO_INDIRECT_BASIS, LightRotation::default());
+    let sky = source.options.has_sky_shadows().then(|| SkyShadows::new(&source, probes, &outward));
+    let transport = Transport::new(probes, outward);
+    let under = |tables: &LightTables| {
+        let mut gathered = transport.gather(&source, tables, bounces);
+        sky.iter().for_each(|sky| sky.add(&source, tables, &mut gathered));
+        gathered
+    };
+    tables.iter().flat_map(under).collect()
+}
+
 /// Measures visibility and gathers light again (docs/MODEL.md, section 6).
 fn measure(state: &mut TrainState, operators: &EnvOperators, how: &ProbeMeasurement<'_>) {
     let gathers = how.bounces > 0 && state.model.shading.indirect == IndirectForm::Gathered;
@@ -275,15 +295,8 @@ fn measure(state: &mut TrainState, operators: &EnvOperators, how: &ProbeMeasurem
         let source = source(state, &NO_INDIRECT_BASIS, LightRotation::default());
         let directions = fibonacci_sphere(how.directions);
         let probes = Probes::measure(&source, directions, ProbeSettings::of(source.options));
+        let (outward, arriving) = (outward_normals(&source), arriving(&source, &operators.split().lights));
         let labels = probes.coefficients(sh_degree);
-        let arriving = arriving(&source, &operators.split().lights);
-        let source = AttributeSource { arriving: &arriving, ..source };
-        if gathers {
-            let transport = Transport::new(&probes, outward_normals(&source));
-            let gathered = tables.iter().flat_map(|tables| transport.gather(&source, tables, how.bounces));
-            state.gathered = gathered.collect();
-        }
-        state.arriving = arriving;
         let replaces = match how.field {
             FieldUpdate::Replace => true,
             FieldUpdate::Start => state.labels.is_empty(),
@@ -292,6 +305,9 @@ fn measure(state: &mut TrainState, operators: &EnvOperators, how: &ProbeMeasurem
         if replaces {
             state.model.gaussians.field_mut(Field::Visibility).copy_from_slice(&labels);
         }
-        state.labels = labels;
+        (state.labels, state.arriving) = (labels, arriving);
+        if gathers {
+            state.gathered = gathered(state, &probes, outward, &tables, how.bounces);
+        }
     }
 }

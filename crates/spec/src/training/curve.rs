@@ -44,9 +44,9 @@ impl TrainConfig {
     ///
     /// | position | preset | steps | px | Gaussians | probes | prototypes |
     /// |---|---|---|---|---|---|---|
-    /// | -1 | | 750 | 64 | 1,600 | 64 | 8 |
-    /// | 0 | draft | 1,500 | 160 | 8,000 | 64 | 8 |
-    /// | 1 | standard | 3,000 | 400 | 40,000 | 96 | 16 |
+    /// | -1 | | 750 | 64 | 1,600 | 128 | 8 |
+    /// | 0 | draft | 1,500 | 160 | 8,000 | 128 | 8 |
+    /// | 1 | standard | 3,000 | 400 | 40,000 | 128 | 16 |
     /// | 2 | high | 6,000 | 800 | 80,000 | 128 | 16 |
     /// | 3 | | 12,000 | 1,600 | 160,000 | 128 | 16 |
     pub fn on_curve(position: f32) -> Self {
@@ -59,7 +59,6 @@ impl TrainConfig {
             max_gaussians: geometric(at, [8_000, 40_000, 80_000], 100),
             prototypes: geometric(at, [8, 16, 16], 1).max(8),
             radiance_order: if at < 0.5 { 1 } else { 2 },
-            probe_directions: geometric(at, [64, 96, 128], 8).clamp(64, 128),
             probe_every: geometric(at, [125, 250, 250], 1),
             checkpoint_every: geometric(at, [250, 500, 500], 1),
             ..Self::standard()
@@ -92,8 +91,8 @@ mod tests {
             let counts = [c.iterations, c.resolution, c.initial_gaussians, c.max_gaussians, c.prototypes];
             (counts, [c.radiance_order, c.probe_directions, c.probe_every, c.checkpoint_every])
         };
-        assert_eq!(of(Preset::Draft), ([1_500, 160, 3_000, 8_000, 8], [1, 64, 125, 250]));
-        assert_eq!(of(Preset::Standard), ([3_000, 400, 12_000, 40_000, 16], [2, 96, 250, 500]));
+        assert_eq!(of(Preset::Draft), ([1_500, 160, 3_000, 8_000, 8], [1, 128, 125, 250]));
+        assert_eq!(of(Preset::Standard), ([3_000, 400, 12_000, 40_000, 16], [2, 128, 250, 500]));
         assert_eq!(of(Preset::High), ([6_000, 800, 24_000, 80_000, 16], [2, 128, 250, 500]));
         for preset in [Preset::Draft, Preset::Standard, Preset::High] {
             assert_eq!(TrainConfig::preset(preset).preset, preset);

@@ -216,7 +216,7 @@ settings! {
     /// (transmittance over the sphere) or `both`.
     labels: LabelSource = LabelSource::Probes;
     /// Number of probe directions, 8 to 1024.
-    probe_directions: u32 = 96, in 8..=1024;
+    probe_directions: u32 = 128, in 8..=1024;
     /// Steps between probe refreshes, 1 to 1,000,000.
     probe_every: u32 = 250, in 1..=1_000_000;
     /// Bounces of gathered indirect light, 0 to 8.

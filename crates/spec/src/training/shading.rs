@@ -21,6 +21,9 @@ changes! {
         normal: NormalForm = "shortest_axis";
         /// Indirect light: `gathered`, `learned` or `off`.
         indirect: IndirectForm = "gathered";
+        /// Whether the diffuse term has the shadows of the sky in single directions. false: only through the visibility field. Without
+        /// effect unless indirect light is gathered.
+        sky_shadows: bool = true;
         /// Screen-space low-pass added to the projected covariance, 0 to 100 px^2.
         low_pass: f32 = 0.3;
         /// Whether opacity compensates for the low-pass, so that it does not change the total weight of a splat (Mip-Splatting).

@@ -173,7 +173,10 @@ impl ScheduleCost {
         }
         let is_unknown = self.config.light.is_none();
         let searches = if self.config.lights > 0 && is_unknown { SEARCH_PROBES } else { 0.0 };
-        let solutions = if self.config.environment_restarts && is_unknown { ENVIRONMENT_PROBES } else { 0.0 };
+        // Light between surfaces is gathered again without the shadows of the sky.
+        let again = if self.config.shading.has_sky_shadows() { self.config.probe_directions } else { 0 };
+        let restarts = self.config.environment_restarts && is_unknown;
+        let solutions = if restarts { ENVIRONMENT_PROBES + f64::from(again) } else { 0.0 };
         let on_host = (searches + solutions) * self.step.probe().host * self.gaussians(position);
         self.measurement(position) + on_host
     }

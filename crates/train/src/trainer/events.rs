@@ -200,7 +200,12 @@ impl Trainer {
         }
         let seen = lights::seen(&state, &self.data.cameras(PhotoSize::Half));
         let split = state.model.lights.clone();
-        lights::solve_environment(&mut state, &seen, self.data.range, &split);
+        let how = schedule::measurement(&self.config, &self.data.rotations, 1);
+        let gathered = match state.model.shading.has_sky_shadows() {
+            true => evaluation::gathered_from_surfaces(&state, &self.operators, how.directions, how.bounces),
+            false => state.gathered_in(0).to_vec(),
+        };
+        lights::solve_environment(&mut state, &gathered, &seen, self.data.range, &split);
         Ok(self.engine.load(state)?)
     }
 

@@ -15,6 +15,8 @@ pub(super) struct GpuFrameLight {
     pub buffers: LightBuffers,
     /// Gathered light, then the arriving share of each dominant light.
     pub gathered: Option<Buffer<f32>>,
+    /// The same with the shadows of the sky.
+    pub with_sky_shadows: Option<Buffer<f32>>,
     /// Its resources for rays.
     pub by_rays: RayResources,
 }
@@ -22,19 +24,16 @@ pub(super) struct GpuFrameLight {
 /// Resources of a light for rays, created on first use.
 #[derive(Default)]
 pub(super) struct RayResources {
-    /// Tables of the environment without the sharp lights.
-    pub rest: OnceLock<LightBuffers>,
+    /// The environment without the sharp lights.
+    pub rest: OnceLock<RestOfLight>,
     /// The environment as a sampler of directions.
     pub environment: OnceLock<EnvironmentBuffers>,
 }
 
-impl GpuFrameLight {
-    /// A light without resources for rays.
-    pub fn new(
-        renderer: Arc<GpuFrameRenderer>,
-        buffers: LightBuffers,
-        gathered: Option<Buffer<f32>>,
-    ) -> Self {
-        Self { renderer, buffers, gathered, by_rays: RayResources::default() }
-    }
+/// An environment without its sharp lights.
+pub(super) struct RestOfLight {
+    /// Its tables.
+    pub buffers: LightBuffers,
+    /// Gathered light of the whole environment with the shadows of the sky of the rest, then the arriving shares.
+    pub with_sky_shadows: Option<Buffer<f32>>,
 }

@@ -9,8 +9,8 @@ use std::sync::{Arc, Mutex, OnceLock};
 use rayon::prelude::*;
 
 use crate::gpu::frame::{FrameBranches, FramePass};
-use crate::gpu::frames::light::GpuFrameLight;
-use crate::gpu::gather::{LightProbes, gather, ungathered};
+use crate::gpu::frames::light::{GpuFrameLight, RayResources};
+use crate::gpu::gather::{LightProbes, add_sky_shadows, gather, ungathered};
 use crate::gpu::light::{Constants, LightBuffers};
 use crate::gpu::lock::locked;
 use crate::gpu::model::LayoutUniform;
@@ -30,6 +30,8 @@ use relume_layout::constants::EarlyStop;
 use relume_scene::light::LightTables;
 use relume_scene::{DisplayRange, Illumination, IndirectForm, Output, ShadingOptions, SplitLight};
 
+/// Number of probe directions of a model with too many Gaussians for [`PROBE_DIRECTIONS`] in one binding.
+const MIN_PROBE_DIRECTIONS: usize = 96;
 /// Smallest number of pixels per thread when a frame is unpacked.
 const SPLIT: usize = 1 << 14;
 
@@ -117,10 +119,33 @@ impl GpuFrameRenderer {
         Ok(Some(gathered))
     }
 
+    /// `gathered` with the shadows of the sky under `light`; itself where the model has none.
+    fn with_sky_shadows(
+        &self,
+        gathered: &Option<Buffer<f32>>,
+        light: &LightBuffers,
+    ) -> Result<Option<Buffer<f32>>, DeviceError> {
+        let scratch = locked(&self.scratch);
+        let (Some(probes), Some(gathered), true) =
+            (&scratch.probes, gathered, self.options.has_sky_shadows())
+        else {
+            return Ok(gathered.clone());
+        };
+        let shaded: Buffer<f32> =
+            self.gpu.buffer("gathered light with shadows of the sky", gathered.len())?;
+        let mut recorder = self.gpu.record();
+        recorder.copy(gathered, 0, &shaded, 0, gathered.len());
+        add_sky_shadows(&mut recorder, probes, &self.source, light, &shaded)?;
+        recorder.submit()?;
+        Ok(Some(shaded))
+    }
+
     fn measure_probes(&self) -> Result<ProbeBuffers, DeviceError> {
         let settings = ProbeSettings::of(&self.options);
-        let directions = fibonacci_sphere(PROBE_DIRECTIONS);
         let AttributeSource { params, layout, .. } = &self.source;
+        // Transmittances by direction and Gaussian must fit one binding.
+        let most = self.gpu.report().max_binding / (4 * u64::from(layout.n.max(1)));
+        let directions = fibonacci_sphere(PROBE_DIRECTIONS.min(most as usize).max(MIN_PROBE_DIRECTIONS));
         probes::measure(&self.gpu, params, layout, settings, &directions, self.sh_degree)
     }
 
@@ -129,10 +154,10 @@ impl GpuFrameRenderer {
         Channels::Full(self.source.layout.n_visibility as usize)
     }
 
-    /// The model under `light`.
-    fn lit_source(&self, light: &GpuFrameLight) -> AttributeSource {
+    /// The model under `light`, with `gathered` light.
+    fn lit_source(&self, light: &GpuFrameLight, gathered: &Option<Buffer<f32>>) -> AttributeSource {
         AttributeSource {
-            gathered: light.gathered.clone(),
+            gathered: gathered.clone(),
             indirect_basis: Some(light.buffers.indirect_basis.clone()),
             ..self.source.clone()
         }
@@ -285,14 +310,22 @@ impl FrameRenderer for GpuFrameRenderer {
         let tables = &self.host.light_tables(light);
         let buffers = LightBuffers::upload(&self.gpu, tables, self.sh_degree, &indirect_basis(tables))?;
         let gathered = self.gather(tables, &buffers)?;
-        Ok(Box::new(GpuFrameLight::new(self, buffers, gathered)))
+        let with_sky_shadows = self.with_sky_shadows(&gathered, &buffers)?;
+        Ok(Box::new(GpuFrameLight {
+            renderer: self,
+            buffers,
+            gathered,
+            with_sky_shadows,
+            by_rays: RayResources::default(),
+        }))
     }
 }
 
 impl FrameLight for GpuFrameLight {
     fn render(&self, job: &FrameJob<'_>) -> Result<Frame, DeviceError> {
         let renderer = &self.renderer;
-        let (source, shading) = (renderer.lit_source(self), renderer.shading(&self.buffers));
+        let (source, shading) =
+            (renderer.lit_source(self, &self.with_sky_shadows), renderer.shading(&self.buffers));
         renderer.draw(&job.view, &source, |recorder, projected, reused| match job.colour {
             ColourMode::Alone => renderer.colours(recorder, projected, &shading),
             ColourMode::WithGBuffer => renderer.outputs(recorder, projected, &shading, reused.planes, job),

@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 
 use crate::gpu::frame::{FrameBranches, FramePass};
-use crate::gpu::frames::light::GpuFrameLight;
+use crate::gpu::frames::light::{GpuFrameLight, RestOfLight};
 use crate::gpu::light::LightBuffers;
 use crate::gpu::rays::{EnvironmentBuffers, Samples, TreeBuffers};
 use crate::gpu::resolve::PixelLight;
@@ -42,20 +42,24 @@ impl GpuFrameLight {
         }
     }
 
-    fn upload_rest(&self, rest: &LightTables) -> Result<LightBuffers, DeviceError> {
-        LightBuffers::upload(&self.renderer.gpu, rest, self.renderer.sh_degree, &indirect_basis(rest))
+    fn upload_rest(&self, rest: &LightTables) -> Result<RestOfLight, DeviceError> {
+        let renderer = &self.renderer;
+        let buffers = LightBuffers::upload(&renderer.gpu, rest, renderer.sh_degree, &indirect_basis(rest))?;
+        let with_sky_shadows = renderer.with_sky_shadows(&self.gathered, &buffers)?;
+        Ok(RestOfLight { buffers, with_sky_shadows })
     }
 
     /// A frame from the tables of the rest, with a traced shadow for each light.
     fn under_sharp_lights(
         &self,
         job: &FrameJob<'_>,
-        rest: &LightBuffers,
+        rest: &RestOfLight,
         lights: &[DominantLight],
         tree: &TreeBuffers,
     ) -> Result<Frame, DeviceError> {
         let renderer = &self.renderer;
-        let (source, shading) = (renderer.lit_source(self), renderer.shading(rest));
+        let source = renderer.lit_source(self, &rest.with_sky_shadows);
+        let shading = renderer.shading(&rest.buffers);
         let pass = FramePass {
             channels: renderer.full(),
             blending: EarlyStop::WhenSaturated,
@@ -81,7 +85,7 @@ impl GpuFrameLight {
         let environment = get_or_try_init(&self.by_rays.environment, || {
             EnvironmentBuffers::upload(&renderer.gpu, environment)
         })?;
-        let (source, shading) = (renderer.lit_source(self), renderer.shading(&self.buffers));
+        let (source, shading) = (renderer.lit_source(self, &self.gathered), renderer.shading(&self.buffers));
         renderer.draw(&job.view, &source, |recorder, projected, reused| {
             let attributed = projected.attributes(recorder, renderer.full())?;
             let frame = attributed.blend(recorder, EarlyStop::WhenSaturated)?;

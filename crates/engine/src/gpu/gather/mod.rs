@@ -8,10 +8,12 @@ use crate::gpu::probes::{ProbeBuffers, direction_weight};
 use crate::gpu::{AttributeSource, Buffer, Groups, Recorder, shaders, uniform};
 
 mod lights;
+mod sky;
 #[cfg(test)]
 mod tests;
 
 pub use lights::{GATHERED, LightProbes, ungathered};
+pub use sky::add_sky_shadows;
 
 /// `GatherSize` of `shared/gather.wgsl`.
 #[repr(C)]
@@ -21,6 +23,14 @@ struct GatherSize {
     n_directions: u32,
     weight: f32,
     pad: u32,
+}
+
+impl GatherSize {
+    fn of(probes: &ProbeBuffers) -> Self {
+        let n_directions = probes.directions.len();
+        let weight = direction_weight(n_directions);
+        Self { n: probes.n as u32, n_directions: n_directions as u32, weight, pad: 0 }
+    }
 }
 
 /// Gathered irradiance and mean blocked radiance after `bounces` rounds: six floats per Gaussian, followed, where `lights`
@@ -51,13 +61,7 @@ pub fn gather(
     let direct: Buffer<[f32; 4]> = gpu.buffer("light from the sky", n)?;
     let diffuse: Buffer<[f32; 4]> = gpu.buffer("diffuse reflectance", n)?;
     let emitted: Buffer<[f32; 4]> = gpu.buffer("light sent back", n)?;
-    let n_directions = probes.directions.len();
-    let size = GatherSize {
-        n: n as u32,
-        n_directions: n_directions as u32,
-        weight: direction_weight(n_directions),
-        pad: 0,
-    };
+    let size = GatherSize::of(probes);
     let bindings = [
         uniform(&source.layout),
         uniform(&light.layout),

@@ -1,7 +1,7 @@
 //! Gathered light against the CPU engine.
 
 use super::*;
-use crate::cpu::{Transport, outward_normals};
+use crate::cpu::{SkyShadows, Transport, outward_normals};
 use crate::gpu::Gpu;
 use crate::gpu::light::TablesUniform;
 use crate::gpu::model::planar;
@@ -95,6 +95,49 @@ fn comparison_detects_other_materials_visibility_and_bounces() {
     {
         let error = error_of_entries(&GatherCase { scene, bounces }.gathered(&gpu).0, &expected);
         assert!(error.is_finite() && error > 1e-3, "{name}: {error}");
+    }
+}
+
+/// Shadows of the sky of the device and of the CPU, both from the device's probes.
+fn sky_shadows(gpu: &Gpu, scene: &ProbeScene) -> (Vec<f32>, Vec<f32>) {
+    let g = &scene.gaussians;
+    let probes = scene.on_device(gpu, ProbeSettings::default(), &fibonacci_sphere(48));
+    let tables = tables(g.visibility_degree());
+    let light = LightBuffers::upload(gpu, &tables, g.visibility_degree(), &[[0.0; 3]; 16]).unwrap();
+    let source = AttributeSource {
+        layout: scene.layout(),
+        params: gpu.upload("params", &planar(g)).unwrap(),
+        globals: gpu.upload("globals", scene.prototypes.as_flattened()).unwrap(),
+        gathered: None,
+        indirect_basis: None,
+    };
+    let mut rec = gpu.record();
+    let gathered = ungathered(&mut rec, g.len(), None).unwrap();
+    add_sky_shadows(&mut rec, &probes, &source, &light, &gathered).unwrap();
+    rec.submit().unwrap();
+    let got = gpu.read(&gathered, 0..6 * g.len()).unwrap();
+    let attributes = scene.source();
+    let mut expected = vec![[0.0; 6]; g.len()];
+    let sky = SkyShadows::new(&attributes, &read(gpu, &probes), &outward_normals(&attributes));
+    sky.add(&attributes, &tables, &mut expected);
+    (got, expected.as_flattened().to_vec())
+}
+
+#[test]
+#[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+fn shadows_of_the_sky_match_the_cpu() {
+    let gpu = Gpu::for_tests();
+    for (seed, sh_degree) in [(1, 4), (2, 2), (3, 0)] {
+        let (got, expected) = sky_shadows(&gpu, &ProbeScene::random(seed, 300, sh_degree));
+        let error = error_of_entries(&got, &expected);
+        assert!(error < 1e-3, "order {sh_degree}: {error}");
+    }
+    let (_, expected) = sky_shadows(&gpu, &ProbeScene::random(1, 300, 4));
+    let turned = ProbeScene::random(1, 300, 4).with(|i, g| g.row_mut(Field::Normal, i)[0] += 0.5);
+    let field = ProbeScene::random(1, 300, 4).with(|i, g| g.row_mut(Field::Visibility, i)[7] += 0.9);
+    for (name, scene) in [("normal", turned), ("field", field)] {
+        let error = error_of_entries(&sky_shadows(&gpu, &scene).0, &expected);
+        assert!(error.is_finite() && error > 0.05, "the control, {name}: {error}");
     }
 }
 

@@ -3,7 +3,8 @@
 use crate::DeviceError;
 use crate::gpu::model::LayoutUniform;
 use crate::gpu::{Buffer, Gpu, Recorder};
-use relume_scene::Field;
+use relume_scene::light::sh_eval;
+use relume_scene::{Field, sh_count};
 
 /// Measured visibility of a model, in device memory.
 #[derive(Debug, Clone)]
@@ -14,6 +15,8 @@ pub struct ProbeBuffers {
     pub n_coefficients: usize,
     /// Unit directions.
     pub directions: Buffer<[f32; 4]>,
+    /// Harmonics of each direction, [`BASIS`] floats, zero beyond the last coefficient.
+    pub basis: Buffer<f32>,
     /// Unit normals per Gaussian on the open side, by the visibility field before the measurement.
     pub normals: Buffer<[f32; 4]>,
     /// `[direction][Gaussian]`: transmittance towards the direction, 0..=1.
@@ -24,14 +27,19 @@ pub struct ProbeBuffers {
     pub coefficients: Buffer<f32>,
 }
 
+/// Floats of a direction's harmonics in the basis buffer, including padding zeros.
+const BASIS: usize = 64;
+
 impl ProbeBuffers {
     pub(super) fn empty(
         gpu: &Gpu,
         n: usize,
         directions: &[[f32; 3]],
-        n_coefficients: usize,
+        sh_degree: usize,
     ) -> Result<Self, DeviceError> {
-        let n_directions = directions.len();
+        let (n_directions, n_coefficients) = (directions.len(), sh_count(sh_degree));
+        let mut basis = vec![0.0f32; n_directions * BASIS];
+        basis.chunks_exact_mut(BASIS).zip(directions).for_each(|(y, d)| sh_eval(sh_degree, *d, y));
         let by_direction = |what: &str| format!("{what} of {n_directions} directions from {n} Gaussians");
         let flat_directions: Vec<[f32; 4]> = directions.iter().map(|d| padded(*d)).collect();
         Ok(Self {
@@ -40,6 +48,7 @@ impl ProbeBuffers {
             transmittance: gpu.buffer(&by_direction("transmittances"), n * n_directions)?,
             hit: gpu.buffer(&by_direction("hits"), n * n_directions)?,
             directions: gpu.upload("probe directions", &flat_directions)?,
+            basis: gpu.upload("probe basis", &basis)?,
             normals: gpu.buffer("outward normals", n)?,
             coefficients: gpu.buffer("visibility coefficients", n * n_coefficients)?,
         })

@@ -14,8 +14,6 @@ use crate::gpu::scan::Scan;
 use crate::gpu::sort::{Pairs, Sorter};
 use crate::gpu::{Buffer, Gpu, Groups, InFlightLimit, Recorder, Submission, shaders, uniform};
 use crate::{DeviceError, ProbeSettings};
-use relume_scene::light::sh_eval;
-use relume_scene::sh_count;
 
 /// Maximum number of cells along an edge of the grid: a flat Gaussian stores its first and last cell in a byte each.
 const MAX_GRID_SIDE: usize = 256;
@@ -29,8 +27,6 @@ const ENTRIES_A_GAUSSIAN_ON_HARDWARE: usize = 32;
 const ENTRIES: usize = 1 << 18;
 /// Number of directions flattened in one submission.
 const FLATTENED_AT_ONCE: usize = 16;
-/// Floats of a direction's harmonics in the basis buffer, including padding zeros.
-const BASIS: usize = 64;
 /// Number of additional directions: the axes, for the bounding box.
 const AXES: usize = 3;
 
@@ -112,7 +108,6 @@ pub(super) struct Sweeper<'g> {
     pub(super) sweep: Sweep,
     pub(super) settings: ProbeSettings,
     pub(super) out: ProbeBuffers,
-    pub(super) basis: Buffer<f32>,
     pub(super) frames: Buffer<Axes>,
     pub(super) bounds: Buffer<f32>,
     pub(super) occluders: Buffer<Occluder>,
@@ -143,11 +138,9 @@ impl<'g> Sweeper<'g> {
             return Err(DeviceError::Misuse(format!("probes of order {sh_degree}")));
         }
         let (n, n_directions) = (model.n as usize, directions.len());
-        let out = ProbeBuffers::empty(gpu, n, directions, sh_count(sh_degree))?;
+        let out = ProbeBuffers::empty(gpu, n, directions, sh_degree)?;
         let coordinates = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let frames: Vec<Axes> = directions.iter().chain(&coordinates).map(|d| axes(*d)).collect();
-        let mut basis = vec![0.0f32; n_directions * BASIS];
-        basis.chunks_exact_mut(BASIS).zip(directions).for_each(|(y, d)| sh_eval(sh_degree, *d, y));
         let sweep = Sweep {
             n: model.n,
             n_directions: n_directions as u32,
@@ -164,7 +157,6 @@ impl<'g> Sweeper<'g> {
             sweep,
             settings,
             out,
-            basis: gpu.upload("probe basis", &basis)?,
             frames: gpu.upload("probe frames", &frames)?,
             bounds: gpu.upload("probe bounds", &[0.0; 8])?,
             occluders: gpu.buffer("occluders", n)?,
@@ -349,7 +341,7 @@ impl<'g> Sweeper<'g> {
         };
         let bindings = [
             uniform(&projection),
-            (&self.basis).into(),
+            (&self.out.basis).into(),
             (&self.out.transmittance).into(),
             (&self.out.coefficients).into(),
         ];

@@ -15,7 +15,7 @@ mod tests;
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use crate::gpu::gather::{LightProbes, gather, ungathered};
+use crate::gpu::gather::{LightProbes, add_sky_shadows, gather, ungathered};
 use crate::gpu::light::{Constants, TrainingLight};
 use crate::gpu::objective::LOSS_SLOTS;
 use crate::gpu::raster::Raster;
@@ -139,22 +139,6 @@ impl GpuTraining {
         let lights = LightProbes::measure(gpu, &model.params, &model.layout, &self.shape.shading, lights)?;
         let _span = tracing::debug_span!("gather").entered();
         let mut pace = InFlightLimit::default();
-        if let Some(bounces) = bounces {
-            let source = AttributeSource::new(model);
-            self.state.measured.gathered.clear();
-            for turn in how.rotations {
-                let mut recorder = gpu.record();
-                self.light.apply(&mut recorder, model, *turn, &LightWeights::default(), &self.losses);
-                let gathered =
-                    gather(&mut recorder, &probes, &source, &self.light.light, bounces, lights.as_ref())?;
-                self.state.measured.gathered.push(gathered);
-                pace.follow(recorder.submit()?)?;
-            }
-        } else if lights.is_some() {
-            let mut recorder = gpu.record();
-            self.state.measured.gathered = vec![ungathered(&mut recorder, model.len(), lights.as_ref())?];
-            pace.follow(recorder.submit()?)?;
-        }
         let replaces = match how.field {
             FieldUpdate::Keep => false,
             FieldUpdate::Start => !self.state.measured.ever,
@@ -163,6 +147,25 @@ impl GpuTraining {
         if replaces {
             let mut recorder = gpu.record();
             probes.store(&mut recorder, &model.params, &model.layout)?;
+            pace.follow(recorder.submit()?)?;
+        }
+        if let Some(bounces) = bounces {
+            let source = AttributeSource::new(model);
+            self.state.measured.gathered.clear();
+            for turn in how.rotations {
+                let mut recorder = gpu.record();
+                self.light.apply(&mut recorder, model, *turn, &LightWeights::default(), &self.losses);
+                let gathered =
+                    gather(&mut recorder, &probes, &source, &self.light.light, bounces, lights.as_ref())?;
+                if self.shape.shading.has_sky_shadows() {
+                    add_sky_shadows(&mut recorder, &probes, &source, &self.light.light, &gathered)?;
+                }
+                self.state.measured.gathered.push(gathered);
+                pace.follow(recorder.submit()?)?;
+            }
+        } else if lights.is_some() {
+            let mut recorder = gpu.record();
+            self.state.measured.gathered = vec![ungathered(&mut recorder, model.len(), lights.as_ref())?];
             pace.follow(recorder.submit()?)?;
         }
         pace.finish()?;

@@ -24,10 +24,16 @@ const KERNEL: f64 = 0.5 * DIRECTIONS as f64;
 /// Least radiance of a texel, the range of the softplus.
 const MIN_RADIANCE: f32 = 1e-3;
 
-/// Replaces the environment of `state` by the solution, in which `split` has the dominant lights. `seen`: number of pixels in which each
-/// Gaussian is visible. `range`: range of the photographs. The solver keeps the mean irradiance of the visible surfaces in each channel. It
+/// Replaces the environment of `state` by the solution, in which `split` has the dominant lights. `gathered`: light that each Gaussian receives
+/// from other surfaces. `seen`: number of pixels in which each Gaussian is visible. `range`: range of the photographs. The solver keeps the mean irradiance of the visible surfaces in each channel. It
 /// does not change the environment if fewer than two neighbouring Gaussians are visible.
-pub fn solve(state: &mut TrainState, seen: &[f32], range: DisplayRange, split: &LightSplit) {
+pub fn solve(
+    state: &mut TrainState,
+    gathered: &[[f32; 6]],
+    seen: &[f32],
+    range: DisplayRange,
+    split: &LightSplit,
+) {
     let search = LightSearch::new(state, seen, range);
     let sky = sky_directions(split);
     let points = search.neighbours.members();
@@ -35,7 +41,7 @@ pub fn solve(state: &mut TrainState, seen: &[f32], range: DisplayRange, split: &
         return;
     }
     let transport = Transport::measure(&search, &points, &sky, &split.lights);
-    let variation = Variation::of(&search, &points, seen);
+    let variation = Variation::of(&search, gathered, &points, seen);
     let prior = Prior { light: present(state, &sky, split), sky: sky.len() };
     let solution = solver::solve(&transport, &variation, &prior);
     state.model.env_raw = environment(state, &sky, split, &solution);

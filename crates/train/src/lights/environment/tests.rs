@@ -29,7 +29,8 @@ fn contrast(state: &TrainState) -> (f32, f32) {
 /// The state with the light that `solve` finds, started at a uniform sky.
 fn solved(mut state: TrainState, split: &LightSplit) -> TrainState {
     let seen = from_above(&state);
-    solve(&mut state, &seen, UNIT, split);
+    let gathered = state.gathered_in(0).to_vec();
+    solve(&mut state, &gathered, &seen, UNIT, split);
     state
 }
 
@@ -87,7 +88,7 @@ fn environment_stays_without_visible_surfaces() {
     let state = plate(2.0);
     let mut unseen = state.clone();
     let nothing = vec![0.0; state.model.gaussians.len()];
-    solve(&mut unseen, &nothing, UNIT, &LightSplit::default());
+    solve(&mut unseen, &[], &nothing, UNIT, &LightSplit::default());
     assert_eq!(unseen.model.env_raw, state.model.env_raw);
 }
 

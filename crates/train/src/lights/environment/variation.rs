@@ -15,12 +15,10 @@ pub(super) struct Variation {
 }
 
 impl Variation {
-    /// The variation among the Gaussians `points`, sorted. `seen`: number of pixels in which each Gaussian is visible.
-    pub(super) fn of(search: &LightSearch<'_>, points: &[u32], seen: &[f32]) -> Self {
-        let state = search.state;
-        let at_rest = state.gathered_in(0);
+    /// The variation among the Gaussians `points`, sorted. `gathered`: light that each Gaussian receives from other surfaces. `seen`: number of pixels in which each Gaussian is visible.
+    pub(super) fn of(search: &LightSearch<'_>, gathered: &[[f32; 6]], points: &[u32], seen: &[f32]) -> Self {
         let mut gathered: Vec<[f32; 3]> = (0..seen.len())
-            .map(|i| at_rest.get(i).map_or([0.0; 3], |[red, green, blue, ..]| [*red, *green, *blue]))
+            .map(|i| gathered.get(i).map_or([0.0; 3], |[red, green, blue, ..]| [*red, *green, *blue]))
             .collect();
         search.neighbours.smooth(&mut gathered);
         let mut place = vec![0u32; seen.len()];
