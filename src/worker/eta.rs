@@ -89,7 +89,9 @@ mod tests {
             // Images for the decisions on the complexity, as steps without shading.
             let decided = if i + 1 == config.iterations { 150.0 } else { 0.0 };
             let shaded = (shading + decided) * (0.3 * pixels + gaussians);
-            let measured = if is_round { 0.47 * f64::from(config.probe_directions) } else { 0.0 };
+            // Materials begin with two measurements.
+            let measurements = 2.0 * f64::from(i == warm_up) + f64::from(is_round);
+            let measured = 0.47 * f64::from(config.probe_directions) * measurements;
             let probes = gaussians * (lights + compared + measured);
             let uneven = 1.0 + 0.3 * f64::from(i * 7919 % 11) / 10.0;
             let busy = if (0.5..0.6).contains(&share) { 1.4 } else { 1.0 };
