@@ -79,7 +79,8 @@ impl HostModel {
         if source.options.indirect == IndirectForm::Gathered {
             let occlusion = self.occlusion(&source);
             gathered = occlusion.transport.gather(&source, &tables, BOUNCES);
-            with_sky_shadows = occlusion.shaded(&source, &tables, &gathered);
+            with_sky_shadows =
+                occlusion.sky.as_ref().map(|sky| sky.added_to(gathered.clone(), &source, &tables));
         }
         let indirect_basis = indirect_basis(&tables);
         let (model, of_the_rest) = (self.clone(), OnceLock::new());
@@ -131,21 +132,6 @@ impl HostModel {
             indirect_basis: basis,
             ..AttributeSource::new(&self.model.gaussians, &self.model.prototypes, &self.model.shading)
         }
-    }
-}
-
-impl Occlusion {
-    /// `gathered` with the shadows of the sky under `tables`.
-    fn shaded(
-        &self,
-        source: &AttributeSource<'_>,
-        tables: &LightTables,
-        gathered: &[[f32; 6]],
-    ) -> Option<Vec<[f32; 6]>> {
-        let sky = self.sky.as_ref()?;
-        let mut shaded = gathered.to_vec();
-        sky.add(source, tables, &mut shaded);
-        Some(shaded)
     }
 }
 
@@ -203,9 +189,9 @@ impl HostLight {
     /// The model under this light without its sharp lights, whose tables are `rest`; the same at every call.
     pub(super) fn source_without_sharp_lights(&self, rest: &LightTables) -> AttributeSource<'_> {
         let source = self.source_without_sky_shadows();
-        let Some(occlusion) = self.model.occlusion.get() else { return source };
-        let shaded =
-            || occlusion.shaded(&source, rest, &self.gathered).unwrap_or_else(|| self.gathered.clone());
+        let occlusion = self.model.occlusion.get();
+        let Some(sky) = occlusion.and_then(|occlusion| occlusion.sky.as_ref()) else { return source };
+        let shaded = || sky.added_to(self.gathered.clone(), &source, rest);
         self.with(self.of_the_rest.get_or_init(shaded))
     }
 

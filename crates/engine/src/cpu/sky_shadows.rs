@@ -51,9 +51,15 @@ impl SkyShadows {
         Self { normals, directions: probes.directions.clone(), factors }
     }
 
-    /// Adds the difference of irradiance under the light of `tables` to the irradiance in `gathered`. The sum with the irradiance through
-    /// the field is never below what `gathered` had.
-    pub fn add(&self, source: &AttributeSource<'_>, tables: &LightTables, gathered: &mut [[f32; 6]]) {
+    /// `gathered` with the difference of irradiance under the light of `tables`. The irradiance through the field and the difference are
+    /// together never negative.
+    #[must_use]
+    pub fn added_to(
+        &self,
+        mut gathered: Vec<[f32; 6]>,
+        source: &AttributeSource<'_>,
+        tables: &LightTables,
+    ) -> Vec<[f32; 6]> {
         let weight = STEP * 4.0 * std::f32::consts::PI / self.directions.len().max(1) as f32;
         let scaled = |d: &Vec3| radiance(tables, *d).map(|l| weight * l);
         let light: Vec<Vec3> = self.directions.iter().map(scaled).collect();
@@ -66,6 +72,7 @@ impl SkyShadows {
             let sky = through_visibility(source, tables, self.normals[i], i);
             (0..3).for_each(|c| gathered[c] += sum[c].max(-sky[c]));
         });
+        gathered
     }
 }
 
@@ -114,9 +121,8 @@ mod tests {
         let source = AttributeSource::new(g, &[[0.5; 3]], &options);
         let up = [[0.0, 0.0, 1.0]];
         let soft = through_visibility(&source, &tables, up[0], 0)[0];
-        let mut gathered = [[0.0; 6]];
-        SkyShadows::new(&source, probes, &up).add(&source, &tables, &mut gathered);
-        (soft, soft + gathered[0][0])
+        let shadows = SkyShadows::new(&source, probes, &up);
+        (soft, soft + shadows.added_to(vec![[0.0; 6]], &source, &tables)[0][0])
     }
 
     /// A light of 12 degrees, 20 degrees beyond the edge of a shadow or before it.

@@ -272,9 +272,11 @@ fn gathered(
     let sky = source.options.has_sky_shadows().then(|| SkyShadows::new(&source, probes, &outward));
     let transport = Transport::new(probes, outward);
     let under = |tables: &LightTables| {
-        let mut gathered = transport.gather(&source, tables, bounces);
-        sky.iter().for_each(|sky| sky.add(&source, tables, &mut gathered));
-        gathered
+        let gathered = transport.gather(&source, tables, bounces);
+        match &sky {
+            Some(sky) => sky.added_to(gathered, &source, tables),
+            None => gathered,
+        }
     };
     tables.iter().flat_map(under).collect()
 }
