@@ -232,7 +232,7 @@ settings! {
     /// Maximum number of strong small lights that are separated from a recovered light for sharp shadows, 0
     /// to 4.
     #[serde(default)]
-    lights: u32 = 1, in 0..=4;
+    lights: u32 = 4, in 0..=4;
     /// The training restarts an unknown light together with albedo, by the shading and shadows of neighbouring surfaces. false: only steps change the light.
     #[serde(default)]
     environment_restarts: bool = true;

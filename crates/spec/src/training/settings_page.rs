@@ -112,6 +112,7 @@ fn another(setting: &Setting) -> Value {
         ("complexity", _) => "full".into(),
         ("turntable_capture", _) => "yes".into(),
         ("up", _) => "-y".into(),
+        ("lights", _) => 1.into(),
         ("method", _) => "3dgs".into(),
         ("shading.visibility" | "shading.indirect", _) => "off".into(),
         ("shading.diffuse", _) => "ambient_occlusion".into(),

@@ -36,7 +36,7 @@ const STRENGTHS: [f32; 7] = [0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
 const RADII: [f32; 3] = [0.005, 0.06, 0.15];
 /// Least strength of a light, mean of the channels. The visibility field represents the shadows of weaker lights
 /// sufficiently.
-const MIN_STRENGTH: f32 = 1.5;
+const MIN_STRENGTH: f32 = 0.5;
 /// Least share by which a light must lower the variation, compared with the same light with soft shadows.
 const MIN_GAIN: f32 = 0.04;
 /// Least share by which the variation must fall for a light to move.
@@ -68,8 +68,9 @@ pub fn search(
     let mut found: Vec<DetectedLight> = Vec::new();
     let mut irradiance = scene.sky();
     while found.len() < most.min(MAX_LIGHTS) {
-        let near = previous.get(found.len()).and_then(|previous| scene.accepted(&irradiance, Some(previous)));
-        let Some((light, with)) = near.or_else(|| scene.accepted(&irradiance, None)) else { break };
+        let previous = previous.get(found.len());
+        let near = previous.and_then(|previous| scene.accepted(&irradiance, &found, Some(previous)));
+        let Some((light, with)) = near.or_else(|| scene.accepted(&irradiance, &found, None)) else { break };
         found.push(light);
         irradiance = with;
     }
@@ -136,18 +137,20 @@ impl<'a> LightSearch<'a> {
         sky
     }
 
-    /// The best light in addition to `irradiance`, and the irradiance with it; `None` without sufficient evidence.
+    /// The best light in addition to `irradiance`, which contains those of `found`, and the irradiance with it; `None` without sufficient
+    /// evidence.
     fn accepted(
         &self,
         irradiance: &[[f32; 3]],
+        found: &[DetectedLight],
         previous: Option<&SplitLight>,
     ) -> Option<(DetectedLight, Vec<[f32; 3]>)> {
-        let best = self.best(irradiance, previous)?;
+        let best = self.best(irradiance, found, previous)?;
         let added = self.added_irradiance(best.light, &self.soft_visibility(best.light));
         let soft = self.evaluate(irradiance, best.light, &added);
         let gain = 1.0 - best.variation / soft.variation.max(1e-12);
         let is_strong = best.strength.iter().sum::<f32>() >= 3.0 * MIN_STRENGTH;
-        if !(gain > MIN_GAIN && is_strong) {
+        if !(gain > MIN_GAIN && is_strong && is_apart(best.light.direction, found)) {
             return None;
         }
         let shares = evaluation::light_shares(self.state, &[best.light]).pop()?;
@@ -158,13 +161,18 @@ impl<'a> LightSearch<'a> {
     }
 
     /// The best light in addition to `irradiance`: near the `previous` light, which moves only if another position is
-    /// clearly better; without a `previous` light, in any direction.
-    fn best(&self, irradiance: &[[f32; 3]], previous: Option<&SplitLight>) -> Option<LightCandidate> {
+    /// clearly better; without a `previous` light, in any direction apart from those of `found`.
+    fn best(
+        &self,
+        irradiance: &[[f32; 3]],
+        found: &[DetectedLight],
+        previous: Option<&SplitLight>,
+    ) -> Option<LightCandidate> {
         let mut best = match previous {
             Some(previous) => vec![self.candidates(irradiance, &[*previous]).pop()?],
             None => {
-                let all =
-                    fibonacci_sphere(DIRECTIONS).into_iter().filter(|d| d[2] > MIN_ELEVATION_SINE).map(point);
+                let all = fibonacci_sphere(DIRECTIONS).into_iter();
+                let all = all.filter(|d| d[2] > MIN_ELEVATION_SINE && is_apart(*d, found)).map(point);
                 let mut first = self.candidates(irradiance, &all.collect::<Vec<_>>());
                 first.sort_by(|a, b| a.variation.total_cmp(&b.variation));
                 first.truncate(STARTS);
@@ -260,6 +268,14 @@ impl<'a> LightSearch<'a> {
             |i: usize| g.row(Field::Visibility, i).iter().zip(&basis).map(|(c, y)| c * y).sum::<f32>();
         (0..g.len()).map(|i| field(i).clamp(0.0, 1.0)).collect()
     }
+}
+
+/// True if texels near `direction` belong to none of the lights `found`.
+fn is_apart(direction: [f32; 3], found: &[DetectedLight]) -> bool {
+    let angle = |light: &DetectedLight| {
+        glam::Vec3::from(direction).angle_between(light.light.direction.into()) - light.light.radius
+    };
+    found.iter().all(|light| f64::from(angle(light)) > split::REACH)
 }
 
 /// A light of the smallest tested radius.

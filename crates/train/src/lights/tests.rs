@@ -83,6 +83,19 @@ fn light_search_finds_the_sun_by_its_shadow_and_nothing_else() {
 }
 
 #[test]
+fn light_search_finds_two_lamps_as_strong_as_the_sky() {
+    let second = [-0.6, 0.36, 0.714];
+    let lamps = [(SUN, 1.0), (second, 1.0)]
+        .map(|(direction, strength)| (SplitLight { direction, radius: 0.005 }, strength));
+    let state = plate_under(&lamps);
+    let found = search(&state, &from_above(&state), UNIT, MAX_LIGHTS, &[]);
+    assert_eq!(found.len(), 2, "{found:?}");
+    for direction in [SUN, second] {
+        assert!(found.iter().any(|f| angle(f.light.direction, direction) < 0.05), "{direction:?}: {found:?}");
+    }
+}
+
+#[test]
 fn light_moves_only_for_a_clearly_better_direction() {
     let state = plate(2.0);
     let seen = from_above(&state);
