@@ -2,7 +2,7 @@
 
 Usage: python3 page.py FOLDER
 
-FOLDER has the files table-NAME.json of measure.py. The page is FOLDER/accuracy.md.
+FOLDER has the files table-NAME.json of measure.py. The page accuracy.md is written beside them.
 """
 
 import json
