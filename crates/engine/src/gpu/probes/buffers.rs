@@ -15,7 +15,7 @@ pub struct ProbeBuffers {
     pub n_coefficients: usize,
     /// Unit directions.
     pub directions: Buffer<[f32; 4]>,
-    /// Harmonics of each direction, [`BASIS`] floats, zero beyond the last coefficient.
+    /// Harmonics of each direction, 64 floats, zero beyond the last coefficient.
     pub basis: Buffer<f32>,
     /// Unit normals per Gaussian on the open side, by the visibility field before the measurement.
     pub normals: Buffer<[f32; 4]>,
