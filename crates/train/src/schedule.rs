@@ -19,8 +19,8 @@ const SHEEN_FROM: f32 = 0.7;
 const FIRST_ROUND: u32 = 50;
 const ROUND_EVERY: u32 = 100;
 
-/// Number of iterations above which materials, normals and light take proportionally smaller steps. Larger total
-/// updates would only fit noise of the photographs.
+/// Number of iterations above which positions, shapes, materials, normals and light take proportionally smaller steps.
+/// Larger total updates would only fit noise of the photographs.
 const REFERENCE_ITERATIONS: f32 = 6000.0;
 
 /// The branches that are trained after `step` steps.
@@ -137,21 +137,21 @@ pub fn weights_with_sources(weights: LightWeights, sources: f32) -> LightWeights
 /// Adam's step sizes at `progress` in [0, 1].
 ///
 /// Those of shapes and radiance decrease to a thirtieth over the second half; those of materials, normals and light
-/// decrease to a tenth over the last quarter. With more iterations than `REFERENCE_ITERATIONS` the latter are
-/// proportionally smaller.
+/// decrease to a tenth over the last quarter. With more iterations than `REFERENCE_ITERATIONS` all of them are
+/// proportionally smaller, except for those of opacity and radiance.
 pub fn step_sizes(config: &TrainConfig, branches: Branches, progress: f32) -> StepSizes {
     let rates = &config.rates;
-    let mean = rates.mean * (rates.mean_final / rates.mean.max(1e-20)).powf(progress);
+    let share = (REFERENCE_ITERATIONS / config.iterations as f32).min(1.0);
+    let mean = share * rates.mean * (rates.mean_final / rates.mean.max(1e-20)).powf(progress);
     let second_half = (2.0 * progress - 1.0).max(0.0);
     let late = (1.0f32 / 30.0).powf(second_half);
     let last_quarter = (4.0 * progress - 3.0).max(0.0);
-    let share = (REFERENCE_ITERATIONS / config.iterations as f32).min(1.0);
     let on = if branches.is_physical() { share * 0.1f32.powf(last_quarter) } else { 0.0 };
     let visibility = if branches == Branches::BothWithVisibility { rates.visibility * on } else { 0.0 };
     let table = [
         (Field::Mean, mean),
-        (Field::LogScale, rates.scale * late),
-        (Field::Quaternion, rates.rotation * late),
+        (Field::LogScale, share * rates.scale * late),
+        (Field::Quaternion, share * rates.rotation * late),
         (Field::OpacityLogit, rates.opacity * late),
         (Field::Normal, rates.normal * on),
         (Field::MetalLogit, if config.metalness { rates.material * on } else { 0.0 }),
@@ -210,21 +210,28 @@ mod tests {
     }
 
     #[test]
-    fn material_step_sizes_shrink_for_longer_trainings() {
+    fn step_sizes_shrink_for_longer_trainings() {
         let sizes = |iterations| {
             let config = TrainConfig { iterations, ..TrainConfig::preset(Preset::High) };
             step_sizes(&config, Branches::Both, 0.5)
         };
         let (short, usual, long) = (sizes(600), sizes(6000), sizes(30_000));
         assert_eq!(short, usual);
-        for field in
-            [Field::Normal, Field::RoughLogit, Field::MetalLogit, Field::ProtoLogits, Field::Residual]
-        {
+        for field in [
+            Field::Mean,
+            Field::LogScale,
+            Field::Quaternion,
+            Field::Normal,
+            Field::RoughLogit,
+            Field::MetalLogit,
+            Field::ProtoLogits,
+            Field::Residual,
+        ] {
             let [usual, long] = [&usual, &long].map(|sizes| sizes.fields[field as usize]);
             assert!((5.0 * long / usual - 1.0).abs() < 1e-5, "{field:?}: {usual} {long}");
         }
         assert!((5.0 * long.environment / usual.environment - 1.0).abs() < 1e-5);
-        for field in [Field::Mean, Field::LogScale, Field::Radiance] {
+        for field in [Field::OpacityLogit, Field::Radiance] {
             assert_eq!(long.fields[field as usize], usual.fields[field as usize], "{field:?}");
         }
     }
