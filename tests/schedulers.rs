@@ -140,14 +140,40 @@ mod stops {
     }
 
     #[test]
-    fn without_a_checkpoint_path_a_signal_ends_training_at_once() {
+    fn without_a_checkpoint_a_signal_ends_training_at_once() {
         let folder = TempDir::new().unwrap();
         for (signal, number) in [("TERM", 15), ("INT", 2)] {
-            let (mut child, _reader) = started(folder.path(), &["--iterations", "5000"]);
+            let (mut child, _reader) = started(folder.path(), &["--iterations", "5000", "--no-checkpoint"]);
             send(&child, &[signal]);
             assert_eq!(child.wait().unwrap().signal(), Some(number), "{signal}");
         }
         assert!(!folder.path().join("model.safetensors").exists());
+        assert!(!folder.path().join("model.safetensors.checkpoint").exists());
+    }
+
+    #[test]
+    fn a_stopped_training_resumes_without_a_named_checkpoint() {
+        let folder = TempDir::new().unwrap();
+        let at = folder.path();
+        let file = at.join("thing.safetensors.checkpoint");
+        let steps = ["--iterations", "600", "--out", "thing.safetensors"];
+        let (mut child, _reader) = started(at, &steps);
+        send(&child, &["INT"]);
+        assert_eq!(child.wait().unwrap().code(), Some(75));
+        assert!(file.exists());
+
+        let kept = std::fs::read(&file).unwrap();
+        let others = [&steps[..], &["--seed", "3"]].concat();
+        let output = train(at, &others).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && said.contains("starts from the beginning"), "{said}");
+        assert!(!file.exists(), "the checkpoint of a finished training");
+
+        std::fs::write(&file, kept).unwrap();
+        let output = train(at, &steps).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && said.contains("resuming from step"), "{said}");
+        assert!(!file.exists());
     }
 
     #[test]

@@ -6,6 +6,7 @@ mod backup;
 mod bench;
 mod calibrate;
 mod capture;
+mod checkpoint;
 mod closed_pipe;
 mod database;
 pub mod demo;

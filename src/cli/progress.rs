@@ -35,7 +35,7 @@ pub(super) struct StepProgress {
     pub psnr: f64,
     /// Current number of Gaussians.
     pub gaussians: usize,
-    /// Expected seconds to the end. `None`: estimated from the pace so far.
+    /// Expected seconds to the end, if known.
     pub eta_seconds: Option<f64>,
 }
 
@@ -43,8 +43,6 @@ pub(super) struct StepProgress {
 pub(super) struct ProgressReporter {
     kind: ProgressKind,
     bar: ProgressBar,
-    /// The first reported step, and its time.
-    first: Option<(u32, Instant)>,
     printed: Option<Instant>,
 }
 
@@ -52,9 +50,9 @@ impl ProgressReporter {
     /// Creates a reporter and prints nothing.
     pub(super) fn new(kind: ProgressKind) -> CommandResult<Self> {
         let bar = if kind == ProgressKind::Human { ProgressBar::new(0) } else { ProgressBar::hidden() };
-        let style = "{bar:32} {pos}/{len} {per_sec:>12} eta {eta:>4}  {msg}";
+        let style = "{bar:32} {pos}/{len}  {msg}";
         bar.set_style(ProgressStyle::with_template(style)?);
-        Ok(Self { kind, bar, first: None, printed: None })
+        Ok(Self { kind, bar, printed: None })
     }
 
     /// Reports a completed step.
@@ -63,23 +61,19 @@ impl ProgressReporter {
             return self.step_for_people(step);
         }
         let now = Instant::now();
-        let (from, since) = *self.first.get_or_insert((step.step, now));
         let is_due = self.printed.is_none_or(|printed| now - printed >= EVERY);
         if !is_due && step.step < step.total {
             return;
         }
         self.printed = Some(now);
-        let pace = (now - since).as_secs_f64() / f64::from(step.step.saturating_sub(from).max(1));
-        let left = f64::from(step.total.saturating_sub(step.step));
-        let eta = step.eta_seconds.or_else(|| (step.step > from).then_some(pace * left));
         match self.kind {
-            ProgressKind::Json => print(&step_line(step, eta).to_string()),
+            ProgressKind::Json => print(&step_line(step).to_string()),
             _ => {
                 let percent = 100.0 * f64::from(step.step) / f64::from(step.total.max(1));
-                let eta = eta.map_or(String::new(), |eta| format!(", {eta:.0} s left"));
+                let left = time_left(step).map_or(String::new(), |left| format!(", {left}"));
                 print(&format!("openjd_progress: {:.1}", percent.min(100.0)));
                 print(&format!(
-                    "openjd_status: step {} of {}: {}{eta}",
+                    "openjd_status: step {} of {}: {}{left}",
                     step.step,
                     step.total,
                     summary(step)
@@ -92,11 +86,11 @@ impl ProgressReporter {
         let bar = &self.bar;
         // Without a terminal the bar is hidden: about 20 lines are printed instead.
         if bar.is_hidden() && step.step.is_multiple_of((step.total / 20).max(1)) {
-            eprintln!("step {}/{}  {}", step.step, step.total, summary(step));
+            eprintln!("step {}/{}  {}", step.step, step.total, for_people(step));
         }
         bar.set_length(u64::from(step.total));
         bar.set_position(u64::from(step.step));
-        bar.set_message(summary(step));
+        bar.set_message(for_people(step));
     }
 
     /// Reports the current activity.
@@ -154,7 +148,7 @@ impl ProgressReporter {
 }
 
 /// The line of a step. Values that are not finite are `null`.
-fn step_line(step: &StepProgress, eta: Option<f64>) -> Value {
+fn step_line(step: &StepProgress) -> Value {
     let rounded = |value: f64, parts: f64| (value * parts).round() / parts;
     json!({
         "event": "step",
@@ -163,7 +157,7 @@ fn step_line(step: &StepProgress, eta: Option<f64>) -> Value {
         "loss": rounded(step.loss, 1e6),
         "psnr": rounded(step.psnr, 1e3),
         "gaussians": step.gaussians,
-        "eta_seconds": eta.map(|eta| rounded(eta, 10.0)),
+        "eta_seconds": step.eta_seconds.map(|eta| rounded(eta, 10.0)),
     })
 }
 
@@ -178,6 +172,21 @@ fn done_line(wrote: &str, summary: &[String]) -> Value {
 
 fn summary(step: &StepProgress) -> String {
     format!("loss {:.4}  PSNR {:.2} dB  {} Gaussians", step.loss, step.psnr, step.gaussians)
+}
+
+/// The figures of a step, and the expected time to the end if there is one.
+fn for_people(step: &StepProgress) -> String {
+    time_left(step).map_or_else(|| summary(step), |left| format!("{left}  {}", summary(step)))
+}
+
+/// The expected time to the end, in words: seconds below two minutes, then minutes, then hours.
+fn time_left(step: &StepProgress) -> Option<String> {
+    let seconds = step.eta_seconds.filter(|seconds| seconds.is_finite())?.max(0.0);
+    Some(match seconds {
+        ..120.0 => format!("{seconds:.0} s left"),
+        ..7200.0 => format!("{:.0} min left", seconds / 60.0),
+        _ => format!("{:.1} h left", seconds / 3600.0),
+    })
 }
 
 /// A message of the protocol must be one line.
@@ -202,12 +211,28 @@ mod tests {
             loss: 0.123_456_78,
             psnr: f64::NAN,
             gaussians: 64,
-            eta_seconds: None,
+            eta_seconds: Some(1.52),
         };
         let line = json!({ "event": "step", "step": 3, "total": 9, "loss": 0.123_457, "psnr": null,
             "gaussians": 64, "eta_seconds": 1.5 });
-        assert_eq!(step_line(&step, Some(1.52)), line);
-        assert_eq!(step_line(&step, None)["eta_seconds"], Value::Null);
+        assert_eq!(step_line(&step), line);
+        let unknown = StepProgress { eta_seconds: None, ..step };
+        assert_eq!(step_line(&unknown)["eta_seconds"], Value::Null);
+        assert!(for_people(&step).starts_with("2 s left  loss"), "{}", for_people(&step));
+        assert!(for_people(&unknown).starts_with("loss"), "{}", for_people(&unknown));
+    }
+
+    #[test]
+    fn time_left_has_a_unit_that_suits_its_size() {
+        let step = StepProgress { step: 1, total: 9, loss: 0.0, psnr: 0.0, gaussians: 1, eta_seconds: None };
+        let of = |seconds| time_left(&StepProgress { eta_seconds: Some(seconds), ..step });
+        for (seconds, words) in
+            [(-1.0, "0 s"), (119.0, "119 s"), (121.0, "2 min"), (3600.0, "60 min"), (9000.0, "2.5 h")]
+        {
+            assert_eq!(of(seconds), Some(format!("{words} left")));
+        }
+        assert_eq!(of(f64::NAN), None);
+        assert_eq!(time_left(&step), None);
     }
 
     #[test]

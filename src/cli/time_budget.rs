@@ -12,8 +12,8 @@ use relume_capture::{Capture, ImportLimits, Up};
 use relume_engine::Device;
 use relume_spec::training::{TrainConfig, TrainOverrides};
 use relume_train::time_budget::{
-    Pacing, PacingStart, Planning, RecordedPlan, StepCost, import_planned, measurement_limit, reduced,
-    scaled_cost, seconds, step_cost,
+    Eta, Pacing, PacingStart, PhotographCost, Planning, RecordedPlan, StepCost, import_planned,
+    measurement_limit, reduced, scaled_cost, seconds, step_cost,
 };
 use relume_train::{MemoryBudget, Trainer};
 use std::sync::Arc;
@@ -42,6 +42,15 @@ impl BudgetClock {
     /// Adds the seconds of earlier runs.
     pub(super) fn add(&self, seconds: f64) {
         self.earlier.set(self.earlier.get() + seconds);
+    }
+
+    /// The estimate of the end of `trainer`, which trains on `photographs`.
+    pub(super) fn eta(&self, trainer: &Trainer, photographs: PhotographCost) -> Eta {
+        Eta::new(trainer.config(), photographs, trainer.progress().step, self.milliseconds())
+    }
+
+    fn milliseconds(&self) -> i64 {
+        (1e3 * self.now()) as i64
     }
 
     /// Seconds that have passed.
@@ -107,6 +116,7 @@ pub(super) fn planned_capture(
 /// Follows the plan of one training.
 pub(super) struct Pace<'a> {
     pacing: Option<Pacing>,
+    eta: Eta,
     clock: &'a BudgetClock,
     device: &'a Device,
     has_sheet: bool,
@@ -114,15 +124,15 @@ pub(super) struct Pace<'a> {
 
 impl<'a> Pace<'a> {
     /// A training without a plan, or one that repeats a recorded plan.
-    pub(super) fn none(clock: &'a BudgetClock, device: &'a Device) -> Self {
-        Self { pacing: None, clock, device, has_sheet: false }
+    pub(super) fn none(clock: &'a BudgetClock, device: &'a Device, eta: Eta) -> Self {
+        Self { pacing: None, eta, clock, device, has_sheet: false }
     }
 
     /// The plan of `trainer`, if it has a time budget or a stop condition. The time of earlier runs is added to the clock.
     pub(super) fn of(
         trainer: &mut Trainer,
         capture: &Capture,
-        (clock, device): (&'a BudgetClock, &'a Device),
+        (clock, device, photographs): (&'a BudgetClock, &'a Device, PhotographCost),
         cost: Option<StepCost>,
         compared: usize,
         has_sheet: bool,
@@ -130,7 +140,8 @@ impl<'a> Pace<'a> {
         clock.add(trainer.budget().map_or(0.0, |budget| budget.used));
         let start = PacingStart { now: clock.now(), cost, finish_steps: finish_steps(compared, has_sheet) };
         let pacing = Pacing::new(trainer, capture, &start)?;
-        Ok(Self { pacing, clock, device, has_sheet })
+        let eta = clock.eta(trainer, photographs);
+        Ok(Self { pacing, eta, clock, device, has_sheet })
     }
 
     /// Reports the plan at the start.
@@ -147,6 +158,7 @@ impl<'a> Pace<'a> {
         summary: &mut TrainedCapture,
         progress: &ProgressReporter,
     ) -> CommandResult {
+        self.eta.note(trainer.progress().step, self.clock.milliseconds());
         let Some(pacing) = &mut self.pacing else { return Ok(()) };
         let now = || self.clock.now();
         if let Some(told) = pacing.after_step(trainer, self.device, &now)? {
@@ -160,8 +172,9 @@ impl<'a> Pace<'a> {
         Ok(())
     }
 
-    /// Expected seconds to the end; `None` without a time budget.
+    /// Expected seconds to the end: by the plan of a time budget, otherwise by the pace of recent steps.
     pub(super) fn seconds_left(&self, trainer: &Trainer) -> Option<f64> {
-        self.pacing.as_ref()?.seconds_left(trainer, self.clock.now())
+        let planned = self.pacing.as_ref().and_then(|pacing| pacing.seconds_left(trainer, self.clock.now()));
+        planned.or_else(|| self.eta.seconds())
     }
 }

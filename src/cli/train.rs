@@ -1,33 +1,29 @@
 //! `relume train`: trains a model from a capture without a server.
 
-use std::error::Error;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 
 use crate::cli::args::{named, overrides};
 use crate::cli::capture::{PoseArgs, posed};
+use crate::cli::checkpoint::{CheckpointFile, TrainingStart};
 use crate::cli::error::{CommandResult, EXIT_CODES, STOPPED};
 use crate::cli::light::{named_light, read_rotations};
 use crate::cli::output;
 use crate::cli::progress::{ProgressKind, ProgressReporter, StepProgress};
 use crate::cli::setting_flags::SettingFlags;
 use crate::cli::sheet::sheet_beside;
-use crate::cli::stop::StopSignal;
 use crate::cli::time_budget::{BudgetClock, Pace, planned_capture, recorded_plan};
 use crate::cli::train_summary::{SummaryFiles, TrainedCapture};
+use relume_capture::ImportLimits;
 use relume_capture::formats::model_file;
-use relume_capture::{Capture, ImportLimits, Up};
 use relume_engine::{Device, DeviceChoice};
 use relume_spec::training::{
     Crop, GreyCard, KnownLight, LightExposure, Method, Preset, TimeBudget, TrainConfig, TrainOverrides,
     TurntableCapture, Until, WhiteBalance,
 };
-use relume_train::time_budget::{RecordedPlan, Timeline};
-use relume_train::{
-    MemoryBudget, MemoryEstimate, PhotographSizes, PreparedTraining, Trainer, import_in_world,
-    planned_config, up_of_checkpoint,
-};
+use relume_train::time_budget::{PhotographCost, RecordedPlan};
+use relume_train::{MemoryBudget, MemoryEstimate, PhotographSizes, Trainer, import_in_world};
 
 /// Options of `relume train`.
 #[derive(Debug, clap::Args)]
@@ -115,10 +111,15 @@ pub(super) struct TrainArgs {
     set: Vec<String>,
     #[command(flatten)]
     settings: SettingFlags,
-    /// The checkpoint file. If it exists, the training resumes from it; it is deleted at the end. With this option SIGTERM and
-    /// Ctrl-C write a checkpoint after the current step and end with exit code 75; a second signal ends immediately.
+    /// The checkpoint file. If it exists, the training resumes from it; it is deleted at the end. SIGTERM and Ctrl-C write it after
+    /// the current step and end with exit code 75; a second signal ends immediately. Default: `OUT.checkpoint`, which is also
+    /// written regularly in trainings of more than a minute. If that file has other settings or photographs, the training starts from
+    /// the beginning.
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
+    /// Write and read no checkpoint. A signal ends the training immediately.
+    #[arg(long, conflicts_with = "checkpoint")]
+    no_checkpoint: bool,
     /// Format of progress reports: `human` on standard error, `json` (one object per line) or `openjd` (Open Job Description) on
     /// standard output.
     #[arg(long, value_enum, default_value_t = ProgressKind::Human, value_name = "KIND")]
@@ -158,14 +159,20 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
         Some(RecordedPlan { config, .. }) => config.clone(),
         None => TrainConfig::new(args.preset, &overrides)?,
     };
-    let mut kept = args.checkpoint.as_deref().map(CheckpointFile::new).transpose()?;
+    let kept = match args.no_checkpoint {
+        true => None,
+        false => Some(CheckpointFile::new(args.checkpoint.as_deref(), &args.out)?),
+    };
     let light = config.light.as_ref().map(|light| named_light(&light.environment, "")).transpose()?;
     let path = posed(&args.capture, &args.poses)?;
     let clock = BudgetClock::start();
     let device = Device::open(args.device)?;
     progress.status(&format!("device: {}", device.name()));
     let budget = MemoryBudget::beside(&device);
-    let resumed = resumed(args.checkpoint.as_deref(), &config)?;
+    let resumed = match &kept {
+        Some(kept) => kept.resumed(&config, progress)?,
+        None => None,
+    };
     let (up, config) = match &resumed {
         Some(resumed) => (resumed.up, resumed.config.clone()),
         None => (config.up.into(), config),
@@ -179,9 +186,6 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
     } else {
         (import_in_world(&path, &config, up, &ImportLimits::default(), budget)?, config, None)
     };
-    if let Some(kept) = &mut kept {
-        kept.every = config.checkpoint_every.max(1);
-    }
     if let (Some(known), Some(map)) = (&config.light, light) {
         relume_train::illuminate(known, &mut capture, map);
     }
@@ -194,15 +198,16 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
     let need = MemoryEstimate::of(&PhotographSizes::of(&capture), &config, budget.on_device);
     progress.status(&format!("memory: {need}{}", left(budget)));
     let mut trained_capture = TrainedCapture::of(&capture, &path, &config);
+    let photographs = PhotographCost::of(&capture);
     let timeline = recorded.map(|recorded| recorded.timeline);
     let repeats = timeline.is_some();
-    let start = TrainingStart { config, timeline, checkpoint: resumed.map(|resumed| resumed.bytes) };
-    let mut trainer = start.trainer(&capture, &device, args.checkpoint.as_deref(), progress)?;
+    let start = TrainingStart { config, timeline, resumed };
+    let mut trainer = start.trainer(&capture, &device, kept.as_ref(), progress)?;
     let mut pace = match repeats {
-        true => Pace::none(&clock, &device),
+        true => Pace::none(&clock, &device, clock.eta(&trainer, photographs)),
         false => {
             let compared = trained_capture.compared();
-            Pace::of(&mut trainer, &capture, (&clock, &device), cost, compared, !args.no_sheet)?
+            Pace::of(&mut trainer, &capture, (&clock, &device, photographs), cost, compared, !args.no_sheet)?
         }
     };
     pace.announce(&trainer, progress);
@@ -218,8 +223,8 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
         card.insert("training_seconds".to_owned(), trainer.seconds().into());
     }
     output::write_named(&args.out, &model_file::encode(&model)?)?;
-    if let Some(file) = args.checkpoint.as_deref().filter(|file| file.exists()) {
-        std::fs::remove_file(file)?;
+    if let Some(kept) = &kept {
+        kept.delete()?;
     }
     progress.status(&waited(&trainer, trainer.seconds() - before));
     // The renderer needs the trainer's device memory.
@@ -296,80 +301,15 @@ fn exposure(text: &str) -> Result<LightExposure, String> {
     text.parse().map(LightExposure::Stops).map_err(|_| format!("{text:?} is neither a number nor `auto`"))
 }
 
-/// The checkpoint file and its schedule.
-struct CheckpointFile<'a> {
-    file: &'a Path,
-    /// Steps between two checkpoints.
-    every: u32,
-    stop: StopSignal,
-}
-
-impl<'a> CheckpointFile<'a> {
-    fn new(file: &'a Path) -> CommandResult<Self> {
-        Ok(Self { file, every: u32::MAX, stop: StopSignal::listen()? })
-    }
-}
-
-/// A checkpoint from which a training resumes.
-struct Resumed {
-    bytes: Vec<u8>,
-    /// The up direction of the training that the checkpoint continues.
-    up: Up,
-    /// The settings, with those that were planned for a time budget.
-    config: TrainConfig,
-}
-
-/// The checkpoint from which a training with `config` resumes, if the file exists.
-fn resumed(checkpoint: Option<&Path>, config: &TrainConfig) -> CommandResult<Option<Resumed>> {
-    let Some(file) = checkpoint.filter(|file| file.exists()) else { return Ok(None) };
-    let named = |error: &dyn Error| format!("{}: {error}", file.display());
-    let bytes = std::fs::read(file).map_err(|error| named(&error))?;
-    let up = up_of_checkpoint(&bytes).map_err(|error| named(&error))?;
-    let config = planned_config(&bytes, config).map_err(|error| named(&error))?;
-    Ok(Some(Resumed { bytes, up, config }))
-}
-
-/// What a training starts from.
-struct TrainingStart {
-    config: TrainConfig,
-    /// A recorded plan to repeat.
-    timeline: Option<Timeline>,
-    checkpoint: Option<Vec<u8>>,
-}
-
-impl TrainingStart {
-    /// Resumes from the checkpoint if there is one, which was read from `file`; otherwise starts a training.
-    fn trainer(
-        self,
-        capture: &Capture,
-        device: &Device,
-        file: Option<&Path>,
-        progress: &ProgressReporter,
-    ) -> CommandResult<Trainer> {
-        let (Some(bytes), Some(file)) = (self.checkpoint, file) else {
-            let start = PreparedTraining::new(capture, self.config)?;
-            let start = match self.timeline {
-                Some(timeline) => start.with_timeline(timeline),
-                None => start,
-            };
-            return Ok(start.on(device)?);
-        };
-        let named = |error: &dyn Error| format!("{}: {error}", file.display());
-        let trainer = Trainer::resume(capture, self.config, &bytes, device).map_err(|error| named(&error))?;
-        progress.status(&format!("resuming from step {}, {}", trainer.progress().step, file.display()));
-        Ok(trainer)
-    }
-}
-
 /// Trains to the end, or until a stop is requested: then writes a checkpoint and returns `false`.
 fn train(
     trainer: &mut Trainer,
-    kept: Option<&CheckpointFile<'_>>,
+    kept: Option<&CheckpointFile>,
     (pace, summary): (&mut Pace<'_>, &mut TrainedCapture),
     progress: &mut ProgressReporter,
 ) -> CommandResult<bool> {
     if let Some(kept) = kept {
-        kept.stop.wait();
+        kept.wait();
     }
     while !trainer.is_done() {
         let report = trainer.step()?;
@@ -388,15 +328,16 @@ fn train(
             gaussians,
             eta_seconds: pace.seconds_left(trainer),
         });
-        let Some(CheckpointFile { file, every, stop }) = kept else { continue };
-        let stops = stop.is_requested() && !trainer.is_done();
-        if stops || step.is_multiple_of(*every) {
-            output::write_named(file, &trainer.checkpoint()?)?;
+        let Some(kept) = kept else { continue };
+        let stops = kept.is_stopped() && !trainer.is_done();
+        if stops || kept.is_due(trainer) {
+            kept.write(trainer)?;
         }
         if stops {
             // A step that was not finite is not in the checkpoint.
-            let kept = trainer.progress().step;
-            progress.stopped(&format!("stopped after step {kept} of {total}, saved in {}", file.display()));
+            let step = trainer.progress().step;
+            let file = kept.path().display();
+            progress.stopped(&format!("stopped after step {step} of {total}, saved in {file}"));
             return Ok(false);
         }
     }

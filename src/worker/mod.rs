@@ -4,7 +4,6 @@
 //! share a device.
 
 mod device_handle;
-mod eta;
 mod failure_report;
 mod frame_server;
 mod frame_thread;

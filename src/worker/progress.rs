@@ -1,8 +1,8 @@
 //! Turns step reports into progress events: at most two per second, each with the expected time to the end.
 
-use crate::worker::eta::Eta;
 use crate::worker::job_source::{Claim, JobSourceError};
 use relume_api::jobs::JobProgress;
+use relume_train::time_budget::Eta;
 use relume_train::{Progress, StepReport};
 
 /// Minimum time between two progress events, milliseconds.

@@ -15,7 +15,6 @@ use std::sync::atomic::Ordering;
 
 use tracing::{Instrument, Span, info_span};
 
-use crate::worker::eta::Eta;
 use crate::worker::job_source::{Claim, JobSource, JobSourceError};
 use crate::worker::previews::{Preview, PreviewPublisher};
 use crate::worker::progress::ProgressReporter;
@@ -31,7 +30,7 @@ use relume_engine::Device;
 use relume_scene::Model;
 use relume_spec::training::TrainConfig;
 use relume_train::Trainer;
-use relume_train::time_budget::{PhotographCost, StepCost};
+use relume_train::time_budget::{Eta, PhotographCost, StepCost};
 use time_budget::{AttemptClock, AttemptPacing, planned_before};
 
 /// The state of one attempt between steps.
@@ -61,7 +60,7 @@ impl Worker {
         };
         let (now_ms, step) = (self.source.now_ms(), trainer.progress().step);
         let mut reporter =
-            ProgressReporter::new(Eta::new(trainer.config(), photographs_of(&capture), step, now_ms));
+            ProgressReporter::new(Eta::new(trainer.config(), PhotographCost::of(&capture), step, now_ms));
         let checkpoint_every = trainer.config().checkpoint_every.max(1);
         let pacing = AttemptPacing::new(&mut trainer, &capture, clock, cost)?;
         reporter.plan(pacing.as_ref().map(|pacing| pacing.announcement(&trainer)), None);
@@ -218,13 +217,6 @@ impl TrainingAttempt<'_> {
             LeaseStatus::Cancelling | LeaseStatus::Lost => Ok(stop_attempt(self.claim).await?),
         }
     }
-}
-
-/// The photographs of a training, whose size is that of the capture.
-fn photographs_of(capture: &Capture) -> PhotographCost {
-    let pixels = capture.train.iter().map(|view| view.image.len() as f64).sum::<f64>();
-    let count = capture.train.len() as f64;
-    PhotographCost { count, pixels: pixels / count.max(1.0) }
 }
 
 /// A temporary failure of the source, e.g. on a full disk, must not discard the training. The next successful write shows whether

@@ -7,6 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{complexity, schedule};
+use relume_capture::Capture;
 use relume_engine::PhotoSize;
 use relume_spec::training::TrainConfig;
 
@@ -44,6 +45,15 @@ pub struct PhotographCost {
     pub count: f64,
     /// Mean number of pixels of a photograph.
     pub pixels: f64,
+}
+
+impl PhotographCost {
+    /// The photographs of `capture` that train, at their size in memory.
+    pub fn of(capture: &Capture) -> Self {
+        let pixels = capture.train.iter().map(|view| view.image.len() as f64).sum::<f64>();
+        let count = capture.train.len() as f64;
+        Self { count, pixels: pixels / count.max(1.0) }
+    }
 }
 
 /// The cost of a step with both branches: `fixed + pixel * pixels + gaussian * Gaussians`, seconds or relative.

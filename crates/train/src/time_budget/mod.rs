@@ -5,6 +5,7 @@
 //! repeated without a clock.
 
 mod cost;
+mod eta;
 mod import;
 mod measure;
 mod pacer;
@@ -16,6 +17,7 @@ mod timeline;
 mod watch;
 
 pub use cost::{PhotographCost, ProbeCost, ScheduleCost, StepCost};
+pub use eta::Eta;
 pub use import::{Planning, import_planned};
 pub use measure::{measurement_limit, scaled_cost, step_cost};
 pub use pacing::{BudgetState, Pacing, PacingStart};

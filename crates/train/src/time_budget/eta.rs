@@ -3,11 +3,12 @@
 //! The mean time per step is a poor estimate, because the first steps are cheaper: they have half resolution, no shading and few
 //! Gaussians.
 
+use super::{PhotographCost, ScheduleCost, StepCost};
 use relume_spec::training::TrainConfig;
-use relume_train::time_budget::{PhotographCost, ScheduleCost, StepCost};
 
 /// The estimate, updated after each step.
-pub(super) struct Eta {
+#[derive(Debug)]
+pub struct Eta {
     cost: ScheduleCost,
     step: u32,
     /// Cost of the remaining steps.
@@ -21,8 +22,8 @@ pub(super) struct Eta {
 }
 
 impl Eta {
-    /// An estimate for a training of `config` on `photographs`, of which earlier attempts did `step` steps.
-    pub(super) fn new(config: &TrainConfig, photographs: PhotographCost, step: u32, now_ms: i64) -> Self {
+    /// An estimate for a training of `config` on `photographs`, of which earlier runs did `step` steps. `now_ms` is any clock, milliseconds.
+    pub fn new(config: &TrainConfig, photographs: PhotographCost, step: u32, now_ms: i64) -> Self {
         let cost = ScheduleCost::new(config, photographs, StepCost::RELATIVE);
         let steps = f64::from((config.iterations / 20).clamp(40, 200));
         Self {
@@ -37,7 +38,7 @@ impl Eta {
     }
 
     /// Records that `step` steps are complete.
-    pub(super) fn note(&mut self, step: u32, now_ms: i64) {
+    pub fn note(&mut self, step: u32, now_ms: i64) {
         // A rollback increases the number of remaining steps.
         let cost = if step > self.step {
             let done: f64 = (self.step..step).map(|step| self.cost.with_events(step)).sum();
@@ -54,7 +55,7 @@ impl Eta {
     }
 
     /// Seconds to the end of the training; `None` before the first step.
-    pub(super) fn seconds(&self) -> Option<f64> {
+    pub fn seconds(&self) -> Option<f64> {
         let pace = self.recent_ms / self.recent_cost;
         pace.is_finite().then(|| (pace * self.left / 1e3).max(0.0))
     }
