@@ -76,7 +76,7 @@ async fn hashed_web_files_are_immutable_and_others_are_revalidated() {
             "{path}"
         );
     }
-    for path in ["/", "/relume-viewer.js", "/favicon.svg"] {
+    for path in ["/", "/docs", "/relume-viewer.js", "/favicon.svg"] {
         let answer = get(&server, path).await;
         assert_eq!(answer.status(), StatusCode::OK, "{path}");
         assert_eq!(header_of(&answer, header::CACHE_CONTROL), "no-cache", "{path}");
@@ -119,8 +119,9 @@ async fn pages_are_public_when_the_api_needs_a_key() {
         testing::spawn_with(TempDir::new().unwrap(), |config| config.api_keys = ApiKeys::new(["a-key"]));
     let server = server.await.unwrap();
     let (_, named) = page(&server).await;
-    let paths =
-        ["/", "/relume-viewer.js", "/favicon.svg"].into_iter().chain(named.iter().map(String::as_str));
+    let paths = ["/", "/docs", "/relume-viewer.js", "/favicon.svg"]
+        .into_iter()
+        .chain(named.iter().map(String::as_str));
     for path in paths {
         assert_eq!(get(&server, path).await.status(), StatusCode::OK, "{path}");
     }

@@ -23,7 +23,7 @@ use crate::store::hex;
 struct EmbeddedAssets;
 
 /// Routes of the web app. They need no key; the data come from the API, which requires one.
-pub(super) const ROUTES: [&str; 4] = ["/", "/favicon.svg", "/relume-viewer.js", "/assets/{name}"];
+pub(super) const ROUTES: [&str; 5] = ["/", "/docs", "/favicon.svg", "/relume-viewer.js", "/assets/{name}"];
 
 /// The content security policy of pages: their own files, the API of this server, and images that they create.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
@@ -106,9 +106,10 @@ impl WebAsset {
 
 /// The pages and their files.
 pub(super) fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
-    let [index, icon, viewer, assets] = ROUTES;
+    let [index, docs, icon, viewer, assets] = ROUTES;
     Router::new()
         .route(index, get(|headers| async { send("index.html", headers) }))
+        .route(docs, get(|headers| async { send("docs.html", headers) }))
         .route(icon, get(|headers| async { send("favicon.svg", headers) }))
         .route(viewer, get(|headers| async { send("relume-viewer.js", headers) }))
         .route(
@@ -196,7 +197,9 @@ mod tests {
     fn every_web_file_is_served_by_a_route() {
         assert!(WebAsset::find("index.html").is_some() && WebAsset::find("relume-viewer.js").is_some());
         let known = |path: &str| {
-            path == "index.html" || path.starts_with("assets/") || ROUTES.contains(&&*format!("/{path}"))
+            ["index.html", "docs.html"].contains(&path)
+                || path.starts_with("assets/")
+                || ROUTES.contains(&&*format!("/{path}"))
         };
         let lost: Vec<_> = WEB_ASSETS.iter().map(|file| &*file.path).filter(|path| !known(path)).collect();
         assert!(lost.is_empty(), "{lost:?}");

@@ -24,7 +24,7 @@ export function App() {
         <nav aria-label="Sections">
           <ul>{SECTIONS.map(([name, label]) => <li key={name}><a href={link([name])} aria-current={name === section ? 'page' : undefined}>{label}</a></li>)}</ul>
         </nav>
-        <div class="end"><Theme /></div>
+        <div class="end"><a href="./docs">API</a><Theme /></div>
       </header>
       <main id="main" tabIndex={-1}><Page at={place} /></main>
       <KeyDialog />

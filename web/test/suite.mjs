@@ -6,6 +6,7 @@ import { readdirSync, readFileSync, statSync } from 'node:fs'
 import { createServer } from 'node:http'
 import { createRequire } from 'node:module'
 import { chromium } from 'playwright-core'
+import { documentedApi } from './documentation.mjs'
 import { keyIsNotPolled, lostServer, refusedTraining, unknownPaths, wrongFiles } from './failures.mjs'
 import { dimmedLight, movedCamera, openedModel, takenAway, turnedLight } from './viewing.mjs'
 
@@ -311,6 +312,8 @@ assert.ok(Math.abs(sides[1] - 0.75 * sides[0]) <= 1, `without a height the eleme
 await go('/jobs')
 await heading('Jobs').waitFor()
 await audit(page, 'phone-jobs')
+
+await documentedApi(await open({ viewport: { width: 1280, height: 900 } }), base, key)
 
 assert.deepEqual(faults, [], 'nothing was told to the console')
 elsewhere.close()
