@@ -24,6 +24,10 @@ fn softplus(x: f32) -> f32 {
     return max(x, 0.0) + log(1.0 + exp(-abs(x)));
 }
 
+fn beyond_tolerance(distance: f32) -> f32 {
+    return distance - clamp(distance, -environment.tolerance, environment.tolerance);
+}
+
 fn texel(texel_ix: u32) -> vec3f {
     let first = environment.first_texel + 3u * texel_ix;
     return vec3f(softplus(globals[first]), softplus(globals[first + 1u]), softplus(globals[first + 2u]));
@@ -54,8 +58,8 @@ fn main(@builtin(local_invocation_index) local_ix: u32) {
         let above = max(sums.rgb, vec3f(1e-6));
         let up = max(dot(LUMINANCE, sums.rgb), 1e-6);
         let level = log(up / UPWARD_LUMINANCE);
-        let blue = log(above.b / above.r) - environment.blue_over_red;
-        let green = log(above.g * above.g / (above.r * above.b)) - environment.green;
+        let blue = beyond_tolerance(log(above.b / above.r) - environment.blue_over_red);
+        let green = beyond_tolerance(log(above.g * above.g / (above.r * above.b)) - environment.green);
         let by_level = (2.0 * environment.exposure * level / up) * LUMINANCE;
         let by_colour = 2.0 * environment.colour * vec3f(-blue - green, 2.0 * green, blue - green) / above;
         for (var c = 0u; c < 3u; c++) {

@@ -10,6 +10,8 @@ struct Environment {
     // Target colour: logarithms of blue over red, and of green squared over red times blue.
     blue_over_red: f32,
     green: f32,
+    // Distance from it below which the colour term is 0.
+    tolerance: f32,
     // Columns of the map, and their shift in the photograph: whole columns and the fraction of one.
     width: u32,
     whole: u32,

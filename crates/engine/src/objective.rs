@@ -33,6 +33,8 @@ pub struct LightWeights {
     pub colour: f32,
     /// Target of the colour term.
     pub wanted: LightColour,
+    /// Distance from the target below which the colour term is 0, for each of its two logarithms.
+    pub tolerance: f32,
 }
 
 /// Weights of the terms on the parameters.
@@ -63,6 +65,13 @@ pub struct StepWeights {
     pub light: LightWeights,
     /// Terms on the parameters.
     pub parameters: ParameterWeights,
+}
+
+impl LightWeights {
+    /// The part of a distance from the target that counts: what is beyond the tolerance, with its sign.
+    pub fn beyond_tolerance(&self, distance: f32) -> f32 {
+        distance - distance.clamp(-self.tolerance, self.tolerance)
+    }
 }
 
 /// Contribution of a texel of unit radiance, `(direction, solid angle in sr)`, to the irradiance of a surface facing up (+Z),

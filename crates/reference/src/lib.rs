@@ -37,7 +37,8 @@ pub use model::{
     Arrays, ENVIRONMENT, PROTOTYPES, Parameters, ReferenceModel, ReferenceModelError, parameter_names,
 };
 pub use objective::{
-    LISTING_WEIGHTS, Labels, Target, Terms, loss_and_gradients, objective, occlusion, weighted_sum,
+    LIGHT_COLOUR_TOLERANCE, LISTING_WEIGHTS, Labels, Target, Terms, loss_and_gradients, objective, occlusion,
+    weighted_sum,
 };
 pub use ops::{ScanDirection, concat};
 pub use probes::Probes;

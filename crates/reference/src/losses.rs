@@ -61,14 +61,20 @@ pub fn exposure<'t>(environment: Var<'t>, texels: &[(DVec3, f64)]) -> Var<'t> {
     log * log
 }
 
-/// `(b - b')^2 + (g - g')^2` with `b = ln(Y_blue / Y_red)` and `g = ln(Y_green^2 / (Y_red Y_blue))` of the same surface's
+/// `t(b - b')^2 + t(g - g')^2`, t the part of a distance beyond the `tolerance`, with `b = ln(Y_blue / Y_red)` and `g = ln(Y_green^2 / (Y_red Y_blue))` of the same surface's
 /// irradiance Y; b' and g' are those of `wanted`.
-pub fn light_colour<'t>(environment: Var<'t>, texels: &[(DVec3, f64)], wanted: LightColour) -> Var<'t> {
+pub fn light_colour<'t>(
+    environment: Var<'t>,
+    texels: &[(DVec3, f64)],
+    wanted: LightColour,
+    tolerance: f64,
+) -> Var<'t> {
     let shares = texels.iter().map(|(d, w)| d.z.max(0.0) * w / PI).collect();
     let shares = environment.tape.input(Array::new(&[texels.len(), 1], shares));
     let up = |c: usize| (environment.slice(1, c..c + 1) * shares).sum().at_least(1e-6).ln();
-    let blue = up(2) - up(0) - f64::from(wanted.blue_over_red);
-    let green = 2.0 * up(1) - up(0) - up(2) - f64::from(wanted.green);
+    let beyond = |x: Var<'t>| (x - tolerance).at_least(0.0) - (-x - tolerance).at_least(0.0);
+    let blue = beyond(up(2) - up(0) - f64::from(wanted.blue_over_red));
+    let green = beyond(2.0 * up(1) - up(0) - up(2) - f64::from(wanted.green));
     blue * blue + green * green
 }
 

@@ -13,6 +13,9 @@ use super::tape::{Tape, Var};
 use relume_scene::light::{DAYLIGHT, LightColour};
 use relume_scene::{Camera, Field, VisibilityForm, texel_directions};
 
+/// Tolerance of the term on the colour of the light.
+pub const LIGHT_COLOUR_TOLERANCE: f64 = 0.03;
+
 /// The target of a view.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Target {
@@ -66,7 +69,10 @@ pub fn objective<'t>(
         let texels = texel_directions(columns, rows);
         terms.insert("exposure", losses::exposure(p.environment(), &texels));
         let wanted = LightColour::of(DAYLIGHT);
-        terms.insert("light_colour", losses::light_colour(p.environment(), &texels, wanted));
+        terms.insert(
+            "light_colour",
+            losses::light_colour(p.environment(), &texels, wanted, LIGHT_COLOUR_TOLERANCE),
+        );
     }
     terms.insert("flatness", losses::flatness(p.get(Field::LogScale)));
     terms.insert("agg", losses::aggregation(p.assignment()));

@@ -110,8 +110,9 @@ pub fn step_weights(
         light: LightWeights {
             neutrality: if_physical(w.light),
             exposure: if_physical(w.exposure),
-            colour: if_physical(config.light_colour_weight(progress)),
+            colour: if_physical(w.light_colour),
             wanted: light,
+            tolerance: config.light_colour_tolerance(progress),
         },
         parameters: ParameterWeights {
             aggregation: if_physical(w.aggregation),
@@ -129,9 +130,11 @@ pub fn rotating_light_weights(weights: LightWeights) -> LightWeights {
     LightWeights { exposure: weights.exposure * ROTATING_LIGHT_EXPOSURE, ..weights }
 }
 
-/// Weights of the terms on a light of which only `sources`, a share of the sphere, are trained: the rest of it fixes level and colour.
+/// Weights of the terms on a light of which only `sources`, a share of the sphere, are trained: the rest of it fixes level and colour,
+/// so an estimate of the colour is no longer used once it has a tolerance.
 pub fn weights_with_sources(weights: LightWeights, sources: f32) -> LightWeights {
-    LightWeights { exposure: weights.exposure * sources, colour: weights.colour * sources, ..weights }
+    let colour = if weights.tolerance > 0.0 { 0.0 } else { weights.colour * sources };
+    LightWeights { exposure: weights.exposure * sources, colour, ..weights }
 }
 
 /// Adam's step sizes at `progress` in [0, 1].

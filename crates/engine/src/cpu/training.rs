@@ -230,7 +230,7 @@ fn light_terms(step: &Step<'_>, model: &Model, radiance: &[[f32; 3]], by_radianc
     let terms = [
         parameters::light_neutrality(radiance, w.neutrality),
         parameters::exposure(radiance, &texels, w.exposure),
-        parameters::light_colour(radiance, &texels, w.colour, w.wanted),
+        parameters::light_colour(radiance, &texels, w),
     ];
     for (_, by_term) in &terms {
         by_radiance.iter_mut().zip(by_term).for_each(|(g, term)| (0..3).for_each(|c| g[c] += term[c]));

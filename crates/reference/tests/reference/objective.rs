@@ -7,7 +7,8 @@ use relume_engine::{
     StepCounts, StepSizes, StepWeights, SurfaceWeights, TrainState, cpu,
 };
 use relume_reference::{
-    Array, Arrays, Options, ReferenceModel, TableOperators, Tape, Target, forward, objective,
+    Array, Arrays, LIGHT_COLOUR_TOLERANCE, Options, ReferenceModel, TableOperators, Tape, Target, forward,
+    objective,
 };
 use relume_scene::light::{DAYLIGHT, EnvOperators, LightColour, TableResolution};
 use relume_scene::{Camera, DisplayRange, Field, Model, ShadingOptions};
@@ -113,6 +114,7 @@ fn outcome(model: &Model, photo: &Photo, probes: &[f32]) -> cpu::ObjectiveResult
             exposure: weight("exposure"),
             colour: weight("light_colour"),
             wanted: LightColour::of(DAYLIGHT),
+            tolerance: LIGHT_COLOUR_TOLERANCE as f32,
         },
         parameters: ParameterWeights {
             aggregation: weight("agg"),

@@ -42,6 +42,8 @@ use relume_scene::ShadingOptions;
 /// Share of the steps that train materials during which an estimated colour of the light is kept: until the
 /// second restart of albedo.
 const ESTIMATE_SHARE: f32 = 0.3;
+/// Distance from the estimated colour that the light may have after these steps, in `ln(blue / red)` and `ln(green^2 / (red blue))`.
+const ESTIMATE_TOLERANCE: f32 = 0.15;
 
 /// Factor on the weight of the radiance branch in captures without masks. Without it, the physically based
 /// branch distorts the shapes of the surroundings.
@@ -448,12 +450,12 @@ impl TrainConfig {
         check_group("rates", &self.rates)
     }
 
-    /// Weight of the light colour term at `progress`, a share of all steps. For an unknown colour it is 0
-    /// after three tenths of the steps that train materials.
-    pub fn light_colour_weight(&self, progress: f32) -> f32 {
+    /// Distance from its target that the colour of the light may have at `progress`, a share of all steps. It is 0 for a
+    /// stated colour, and for an estimated one over the first three tenths of the steps that train materials.
+    pub fn light_colour_tolerance(&self, progress: f32) -> f32 {
         let until = self.warm_up + ESTIMATE_SHARE * (1.0 - self.warm_up);
-        let holds = self.white_balance.known().is_some() || progress < until;
-        if holds { self.weights.light_colour } else { 0.0 }
+        let is_kept = self.white_balance.known().is_some() || progress < until;
+        if is_kept { 0.0 } else { ESTIMATE_TOLERANCE }
     }
 
     /// Source of the initial colour of the light: `light`, `white_balance` or `view_dependence`.

@@ -97,15 +97,19 @@ fn config_round_trips_and_older_files_get_default_settings() {
 }
 
 #[test]
-fn light_colour_weight_lasts_until_the_second_restart() {
+fn estimated_light_colour_is_kept_until_the_second_restart() {
     let config = TrainConfig::preset(Preset::Draft);
     let first = config.warm_up_steps();
     let is_round = |step: &u32| config.is_albedo_round(*step);
     let second = (first..config.iterations).filter(is_round).nth(1).unwrap();
-    let weight = |step: u32| config.light_colour_weight(step as f32 / config.iterations as f32);
-    assert_eq!(weight(first), config.weights.light_colour);
-    assert_eq!(weight(second - 2), config.weights.light_colour);
-    assert_eq!(weight(second + 2), 0.0);
+    let tolerance = |config: &TrainConfig, step: u32| {
+        config.light_colour_tolerance(step as f32 / config.iterations as f32)
+    };
+    assert_eq!(tolerance(&config, first), 0.0);
+    assert_eq!(tolerance(&config, second - 2), 0.0);
+    assert!(tolerance(&config, second + 2) > 0.1);
+    let stated = TrainConfig { white_balance: "daylight".parse().unwrap(), ..config };
+    assert_eq!(tolerance(&stated, second + 2), 0.0, "a stated colour is kept to the end");
 }
 
 #[test]

@@ -25,13 +25,13 @@ pub enum WhiteBalance {
     Colour([f32; 3]),
 }
 
-/// Named colour of the light. `auto`: unknown, estimated from the view dependence of colours and free to
-/// change later. `neutral`: white surfaces are grey in the photographs, which are balanced for their light.
+/// Named colour of the light. `auto`: unknown, estimated from the view dependence of colours; the training
+/// may change it by the error of the estimate. `neutral`: white surfaces are grey in the photographs, which are balanced for their light.
 /// `daylight`: an open sky, in photographs that are balanced for the sun.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum NamedBalance {
-    /// Unknown: estimated from the view dependence of colours, and free to change later.
+    /// Unknown: estimated from the view dependence of colours. The training may change it by the error of the estimate.
     Auto,
     /// White surfaces are grey in the photographs, which are balanced for their light.
     Neutral,

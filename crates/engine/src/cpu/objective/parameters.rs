@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::Gradients;
 use crate::cpu::objective::{sign, sum};
 use crate::cpu::{self, MAX_COEFFICIENTS, Pass};
-use crate::objective::upward_share;
+use crate::objective::{LightWeights, upward_share};
 use relume_layout::constants::{LABEL_MARGIN, MIN_LABEL_WEIGHT, SIGMOID_MARGIN};
 use relume_scene::light::{LUMINANCE, LightColour, UPWARD_LUMINANCE, luminance, sh_eval};
 use relume_scene::{Field, Gaussians, VisibilityForm};
@@ -140,19 +140,20 @@ pub fn exposure(radiance: &[[f32; 3]], texels: &[(glam::DVec3, f64)], weight: f3
     (weight * log * log, texels.iter().map(|t| by_up.map(|g| g * upward_share(t))).collect())
 }
 
-/// `weight ((b - b')^2 + (g - g')^2)`: (b, g) is the [`LightColour`] of the irradiance of a surface facing up, (b', g') the
-/// `wanted` one. The term fixes the colour, which light and albedo could trade. `(value, gradient by radiance)`.
+/// `colour (t(b - b')^2 + t(g - g')^2)`: (b, g) is the [`LightColour`] of the irradiance of a surface facing up, (b', g') the
+/// `wanted` one, t the part beyond the tolerance. The term fixes the colour, which light and albedo could trade. `(value, gradient by radiance)`.
 pub fn light_colour(
     radiance: &[[f32; 3]],
     texels: &[(glam::DVec3, f64)],
-    weight: f32,
-    wanted: LightColour,
+    weights: &LightWeights,
 ) -> (f32, Vec<[f32; 3]>) {
     let up: [f32; 3] = std::array::from_fn(|c| {
         radiance.iter().zip(texels).map(|(l, t)| upward_share(t) * l[c]).sum::<f32>().max(1e-6)
     });
     let found = LightColour::of(up);
-    let (blue, green) = (found.blue_over_red - wanted.blue_over_red, found.green - wanted.green);
+    let (weight, wanted) = (weights.colour, weights.wanted);
+    let blue = weights.beyond_tolerance(found.blue_over_red - wanted.blue_over_red);
+    let green = weights.beyond_tolerance(found.green - wanted.green);
     let by_log = [-blue - green, 2.0 * green, blue - green];
     let by_up: [f32; 3] = std::array::from_fn(|c| 2.0 * weight * by_log[c] / up[c]);
     let value = weight * (blue * blue + green * green);
@@ -167,22 +168,26 @@ mod tests {
     fn light_colour_term_penalises_only_the_colour_of_the_light() {
         let texels = relume_scene::texel_directions(8, 4);
         let wanted = LightColour::of([0.8, 0.94, 1.26]);
-        let value = |light: [f32; 3]| light_colour(&[light; 32], &texels, 1.0, wanted).0;
+        let weights = |tolerance| LightWeights { colour: 1.0, wanted, tolerance, ..LightWeights::default() };
+        let value = |light: [f32; 3]| light_colour(&[light; 32], &texels, &weights(0.0)).0;
         assert!(value([0.8, 0.94, 1.26]) < 1e-12);
         assert!(value([2.4, 2.82, 3.78]) < 1e-12, "its level is the exposure term's");
         let expected = wanted.blue_over_red.powi(2) + wanted.green.powi(2);
         assert!((value([1.0; 3]) - expected).abs() < 1e-5);
         let warm: Vec<[f32; 3]> = (0..32).map(|i| [1.0, 0.7, 0.2 + 0.01 * i as f32]).collect();
-        let gradient = light_colour(&warm, &texels, 1.0, wanted).1;
+        let gradient = light_colour(&warm, &texels, &weights(0.1)).1;
         for (t, c) in [(0, 0), (3, 2), (9, 0), (9, 1), (9, 2)] {
             let at = |step: f32| {
                 let mut moved = warm.clone();
                 moved[t][c] += step;
-                light_colour(&moved, &texels, 1.0, wanted).0
+                light_colour(&moved, &texels, &weights(0.1)).0
             };
             let numeric = (at(1e-2) - at(-1e-2)) / 2e-2;
             assert!((numeric - gradient[t][c]).abs() < 2e-3, "{t} {c}: {numeric} {}", gradient[t][c]);
         }
+        let near = [0.8, 0.94, 1.2];
+        assert!(value(near) > 1e-3);
+        assert_eq!(light_colour(&[near; 32], &texels, &weights(0.1)).0, 0.0, "within the tolerance");
         assert!(gradient[9][2] < -1e-3 && gradient[9][0] > 1e-3, "a warm light is told to be bluer");
     }
 

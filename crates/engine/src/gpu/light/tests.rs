@@ -18,7 +18,10 @@ const WEIGHTS: LightWeights = LightWeights {
     exposure: 0.7,
     colour: 0.4,
     wanted: LightColour { blue_over_red: 0.45, green: -0.2 },
+    tolerance: 0.05,
 };
+
+const TOLERANCE: f64 = WEIGHTS.tolerance as f64;
 
 /// Rotations: none, whole columns, and a fraction of a column.
 const TURNS: [f64; 3] = [0.0, std::f64::consts::FRAC_PI_2, 2.1];
@@ -73,7 +76,8 @@ fn terms(radiance: &[[f32; 3]]) -> (f64, f64) {
     let level = (up / f64::from(UPWARD_LUMINANCE)).ln();
     let blue = (above[2] / above[0]).ln() - f64::from(WEIGHTS.wanted.blue_over_red);
     let green = (above[1] * above[1] / (above[0] * above[2])).ln() - f64::from(WEIGHTS.wanted.green);
-    let colour = blue.powi(2) + green.powi(2);
+    let beyond = |distance: f64| distance - distance.clamp(-TOLERANCE, TOLERANCE);
+    let colour = beyond(blue).powi(2) + beyond(green).powi(2);
     let by_above = f64::from(WEIGHTS.exposure) * level.powi(2) + f64::from(WEIGHTS.colour) * colour;
     (f64::from(WEIGHTS.neutrality) * neutral / n, by_above)
 }
@@ -89,7 +93,7 @@ fn light_tables_and_basis_match_the_host() {
     assert_layout!(TablesUniform as "Tables" in shaders::ENV_TABLES; diffuse_n, coefficients, n_coefficients,
         n_specular, specular_n, specular_first, n_lights, first_light, pad_a, pad_b, lights);
     assert_layout!(EnvironmentUniform as "Environment" in shaders::ENV_BACKWARD; n_texels, first_texel, neutrality,
-        exposure, colour, blue_over_red, green, width, whole, fraction);
+        exposure, colour, blue_over_red, green, tolerance, width, whole, fraction);
 }
 
 fn assert_tables_and_basis_match_the_host(gpu: &Gpu, model: &Model, turn: f64) {
