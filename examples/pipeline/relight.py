@@ -149,9 +149,24 @@ def new_job(options, capture):
     }
 
 
+def print_progress(server, job):
+    """Prints how far the job is. The server may be away for a while; the webhook arrives when it is back."""
+    try:
+        now = server.json("GET", f"/v1/jobs/{job}")
+    except (Trouble, *BROKEN) as trouble:
+        print(f"no progress known: {trouble}")
+        return
+    progress = now.get("progress") or {}
+    if not progress.get("total"):
+        print(now["state"])
+        return
+    left = progress.get("eta_seconds")
+    print(f"{now['state']}: step {progress['step']} of {progress['total']}" + (f", {left:.0f} s left" if left is not None else ""))
+
+
 def wait_for_end(server, receiver, job, patience):
     """Returns the job from its webhook, or from the server if no message arrives within `patience` seconds. Raises unless the job succeeded."""
-    told = receiver.wait_for(job["id"], patience)
+    told = receiver.wait_for(job["id"], patience, lambda: print_progress(server, job["id"]))
     print(f"a webhook says {told['type']}" if told else "no webhook arrived in time")
     ended = told["data"]["job"] if told else server.json("GET", f"/v1/jobs/{job['id']}")
     if ended["state"] == "rejected":

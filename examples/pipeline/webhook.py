@@ -58,16 +58,19 @@ class Receiver:
 
         return Handler
 
-    def wait_for(self, job, patience):
-        """The message about the end of `job`, or None after `patience` seconds. Skips messages about other jobs; a message may arrive twice."""
+    def wait_for(self, job, patience, meanwhile, every=10):
+        """The message about the end of `job`, or None after `patience` seconds. Calls `meanwhile` every `every` seconds without a message.
+        Skips messages about other jobs; a message may arrive twice."""
         end = time.monotonic() + patience
-        while True:
+        while (left := end - time.monotonic()) > 0:
             try:
-                message = self.messages.get(timeout=max(0.0, end - time.monotonic()))
+                message = self.messages.get(timeout=min(every, left))
             except queue.Empty:
-                return None
+                meanwhile()
+                continue
             if message["data"]["job"]["id"] == job:
                 return message
+        return None
 
     def __enter__(self):
         threading.Thread(target=self.http.serve_forever, daemon=True).start()
