@@ -168,6 +168,10 @@ mod stops {
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success() && said.contains("starts from the beginning"), "{said}");
         assert!(!file.exists(), "the checkpoint of a finished training");
+        assert!(
+            std::fs::read(at.join("thing.safetensors.checkpoint.old")).unwrap() == kept,
+            "nothing is lost"
+        );
 
         std::fs::write(&file, kept).unwrap();
         let output = train(at, &steps).output().unwrap();

@@ -28,7 +28,7 @@ pub(super) struct CheckpointFile {
 impl CheckpointFile {
     /// The file that `--checkpoint` names, otherwise `OUT.checkpoint`. From now on a signal ends the process with exit code 75.
     pub(super) fn new(named: Option<&Path>, out: &Path) -> CommandResult<Self> {
-        let path = named.map_or_else(|| default_path(out), Path::to_owned);
+        let path = named.map_or_else(|| with_suffix(out, "checkpoint"), Path::to_owned);
         Ok(Self { path, is_named: named.is_some(), stop: StopSignal::listen()? })
     }
 
@@ -47,7 +47,7 @@ impl CheckpointFile {
         };
         match read() {
             Ok(resumed) => Ok(Some(resumed)),
-            Err(error) => self.misfit(&*error, progress).map(|()| None),
+            Err(error) => self.set_aside(&*error, progress).map(|()| None),
         }
     }
 
@@ -85,21 +85,25 @@ impl CheckpointFile {
         &self.path
     }
 
-    /// Fails because of `error` if the user named the file, otherwise warns.
-    fn misfit(&self, error: &dyn Error, progress: &ProgressReporter) -> CommandResult {
+    /// Fails because of `error` if the user named the file. Otherwise renames it, so that nothing is lost, and warns.
+    fn set_aside(&self, error: &dyn Error, progress: &ProgressReporter) -> CommandResult {
         if self.is_named {
             return Err(format!("{}: {error}", self.path.display()).into());
         }
-        progress
-            .warning(&format!("{}: {error}; the training starts from the beginning", self.path.display()));
+        let old = with_suffix(&self.path, "old");
+        std::fs::rename(&self.path, &old)?;
+        let (file, old) = (self.path.display(), old.display());
+        progress.warning(&format!(
+            "{file}: {error}; it is now {old}, and the training starts from the beginning"
+        ));
         Ok(())
     }
 }
 
-/// `thing.safetensors.checkpoint` for `thing.safetensors`.
-fn default_path(out: &Path) -> PathBuf {
-    let mut name = out.as_os_str().to_owned();
-    name.push(".checkpoint");
+/// `thing.safetensors.SUFFIX` for `thing.safetensors`.
+fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(format!(".{suffix}"));
     name.into()
 }
 
@@ -130,14 +134,13 @@ impl TrainingStart {
         progress: &ProgressReporter,
     ) -> CommandResult<Trainer> {
         if let (Some(Resumed { bytes, .. }), Some(file)) = (&self.resumed, file) {
-            match Trainer::resume(capture, self.config.clone(), bytes, device) {
-                Ok(trainer) => {
-                    let step = trainer.progress().step;
-                    progress.status(&format!("resuming from step {step}, {}", file.path.display()));
-                    return Ok(trainer);
-                }
-                Err(error) => file.misfit(&error, progress)?,
-            }
+            let resumed = Trainer::resume(capture, self.config, bytes, device).map_err(|error| {
+                format!("{}: {error}; --no-checkpoint starts from the beginning", file.path.display())
+            });
+            let trainer = resumed?;
+            let step = trainer.progress().step;
+            progress.status(&format!("resuming from step {step}, {}", file.path.display()));
+            return Ok(trainer);
         }
         let start = PreparedTraining::new(capture, self.config)?;
         let start = match self.timeline {

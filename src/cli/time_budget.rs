@@ -44,9 +44,9 @@ impl BudgetClock {
         self.earlier.set(self.earlier.get() + seconds);
     }
 
-    /// The estimate of the end of `trainer`, which trains on `photographs`.
-    pub(super) fn eta(&self, trainer: &Trainer, photographs: PhotographCost) -> Eta {
-        Eta::new(trainer.config(), photographs, trainer.progress().step, self.milliseconds())
+    /// The estimate of the end of `trainer`, which trains on `capture`.
+    pub(super) fn eta(&self, trainer: &Trainer, capture: &Capture) -> Eta {
+        Eta::new(trainer.config(), PhotographCost::of(capture), trainer.progress().step, self.milliseconds())
     }
 
     fn milliseconds(&self) -> i64 {
@@ -132,7 +132,7 @@ impl<'a> Pace<'a> {
     pub(super) fn of(
         trainer: &mut Trainer,
         capture: &Capture,
-        (clock, device, photographs): (&'a BudgetClock, &'a Device, PhotographCost),
+        (clock, device): (&'a BudgetClock, &'a Device),
         cost: Option<StepCost>,
         compared: usize,
         has_sheet: bool,
@@ -140,7 +140,7 @@ impl<'a> Pace<'a> {
         clock.add(trainer.budget().map_or(0.0, |budget| budget.used));
         let start = PacingStart { now: clock.now(), cost, finish_steps: finish_steps(compared, has_sheet) };
         let pacing = Pacing::new(trainer, capture, &start)?;
-        let eta = clock.eta(trainer, photographs);
+        let eta = clock.eta(trainer, capture);
         Ok(Self { pacing, eta, clock, device, has_sheet })
     }
 

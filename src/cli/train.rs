@@ -22,7 +22,7 @@ use relume_spec::training::{
     Crop, GreyCard, KnownLight, LightExposure, Method, Preset, TimeBudget, TrainConfig, TrainOverrides,
     TurntableCapture, Until, WhiteBalance,
 };
-use relume_train::time_budget::{PhotographCost, RecordedPlan};
+use relume_train::time_budget::RecordedPlan;
 use relume_train::{MemoryBudget, MemoryEstimate, PhotographSizes, Trainer, import_in_world};
 
 /// Options of `relume train`.
@@ -113,8 +113,8 @@ pub(super) struct TrainArgs {
     settings: SettingFlags,
     /// The checkpoint file. If it exists, the training resumes from it; it is deleted at the end. SIGTERM and Ctrl-C write it after
     /// the current step and end with exit code 75; a second signal ends immediately. Default: `OUT.checkpoint`, which is also
-    /// written regularly in trainings of more than a minute. If that file has other settings or photographs, the training starts from
-    /// the beginning.
+    /// written regularly in trainings of more than a minute. If that file has other settings, it is renamed to
+    /// `OUT.checkpoint.old`, and the training starts from the beginning.
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Write and read no checkpoint. A signal ends the training immediately.
@@ -198,16 +198,15 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
     let need = MemoryEstimate::of(&PhotographSizes::of(&capture), &config, budget.on_device);
     progress.status(&format!("memory: {need}{}", left(budget)));
     let mut trained_capture = TrainedCapture::of(&capture, &path, &config);
-    let photographs = PhotographCost::of(&capture);
     let timeline = recorded.map(|recorded| recorded.timeline);
     let repeats = timeline.is_some();
     let start = TrainingStart { config, timeline, resumed };
     let mut trainer = start.trainer(&capture, &device, kept.as_ref(), progress)?;
     let mut pace = match repeats {
-        true => Pace::none(&clock, &device, clock.eta(&trainer, photographs)),
+        true => Pace::none(&clock, &device, clock.eta(&trainer, &capture)),
         false => {
             let compared = trained_capture.compared();
-            Pace::of(&mut trainer, &capture, (&clock, &device, photographs), cost, compared, !args.no_sheet)?
+            Pace::of(&mut trainer, &capture, (&clock, &device), cost, compared, !args.no_sheet)?
         }
     };
     pace.announce(&trainer, progress);

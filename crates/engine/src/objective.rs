@@ -68,7 +68,7 @@ pub struct StepWeights {
 }
 
 impl LightWeights {
-    /// The part of a distance from the target that counts: what is beyond the tolerance, with its sign.
+    /// Returns by how much `distance` exceeds the tolerance, with the sign of `distance`; 0 within the tolerance.
     pub fn beyond_tolerance(&self, distance: f32) -> f32 {
         distance - distance.clamp(-self.tolerance, self.tolerance)
     }
