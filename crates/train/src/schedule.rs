@@ -240,6 +240,15 @@ mod tests {
     }
 
     #[test]
+    fn photographed_surroundings_replace_the_estimated_colour_of_the_light() {
+        let weights = LightWeights { exposure: 1.0, colour: 1.0, ..LightWeights::default() };
+        let kept = weights_with_sources(weights, 0.25);
+        assert_eq!((kept.exposure, kept.colour), (0.25, 0.25));
+        let later = weights_with_sources(LightWeights { tolerance: 0.15, ..weights }, 0.25);
+        assert_eq!((later.exposure, later.colour), (0.25, 0.0));
+    }
+
+    #[test]
     fn warm_up_trains_radiance_then_normals_then_everything() {
         let config = TrainConfig::preset(Preset::Draft);
         let at = |step| branches(&config, step);
