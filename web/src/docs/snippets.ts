@@ -8,10 +8,10 @@ export interface SnippetRequest {
   body?: unknown
 }
 
-/** Names of the fields of a form, and whether each is a file. */
-function formFields(body: unknown): [string, boolean][] | undefined {
+/** The fields of a form: name and text, without text for a file. */
+function formFields(body: unknown): [string, string | undefined][] | undefined {
   if (typeof body !== 'object' || body === null) return undefined
-  return Object.entries(body).map(([name, value]) => [name, typeof value === 'object'])
+  return Object.entries(body).map(([name, value]) => [name, typeof value === 'object' ? undefined : String(value)])
 }
 
 /** The headers that the code sets itself. A library sets the content type of a form, which names its boundary. */
@@ -35,7 +35,7 @@ export function python(request: SnippetRequest): string {
     `    headers=${JSON.stringify(headersOf(request, fields !== undefined))},`,
   ]
   if (fields) {
-    const files = fields.map(([name, isFile]) => `${JSON.stringify(name)}: ${isFile ? 'open("FILE", "rb")' : '(None, "TEXT")'}`)
+    const files = fields.map(([name, text]) => `${JSON.stringify(name)}: ${text === undefined ? 'open("FILE", "rb")' : `(None, ${JSON.stringify(text)})`}`)
     lines.push(`    files={${files.join(', ')}},`)
   } else if (textOf(request.body)) {
     lines.push(`    data=${JSON.stringify(textOf(request.body))},`)
@@ -49,8 +49,8 @@ export function typescript(request: SnippetRequest): string {
   const lines: string[] = []
   if (fields) {
     lines.push('const form = new FormData()')
-    for (const [name, isFile] of fields) {
-      lines.push(`form.append(${JSON.stringify(name)}, ${isFile ? 'file' : '"TEXT"'})`)
+    for (const [name, text] of fields) {
+      lines.push(`form.append(${JSON.stringify(name)}, ${text === undefined ? 'file' : JSON.stringify(text)})`)
     }
   }
   lines.push(
