@@ -166,12 +166,14 @@ mod stops {
         let others = [&steps[..], &["--seed", "3"]].concat();
         let output = train(at, &others).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success() && said.contains("starts from the beginning"), "{said}");
-        assert!(!file.exists(), "the checkpoint of a finished training");
+        assert!(!output.status.success() && said.contains("run the command again"), "{said}");
+        assert!(!file.exists());
         assert!(
             std::fs::read(at.join("thing.safetensors.checkpoint.old")).unwrap() == kept,
             "nothing is lost"
         );
+
+        assert!(train(at, &others).output().unwrap().status.success(), "the same command again");
 
         std::fs::write(&file, kept).unwrap();
         let output = train(at, &steps).output().unwrap();

@@ -20,7 +20,7 @@ const DEFAULT_FILE_AFTER: f64 = 60.0;
 /// The checkpoint file and its schedule.
 pub(super) struct CheckpointFile {
     path: PathBuf,
-    /// `--checkpoint` names the file. A file that does not fit is then an error; otherwise the training starts from the beginning.
+    /// `--checkpoint` names the file. A file that does not fit stays where it is.
     is_named: bool,
     stop: StopSignal,
 }
@@ -33,11 +33,7 @@ impl CheckpointFile {
     }
 
     /// The checkpoint from which a training with `config` resumes, if there is one.
-    pub(super) fn resumed(
-        &self,
-        config: &TrainConfig,
-        progress: &ProgressReporter,
-    ) -> CommandResult<Option<Resumed>> {
+    pub(super) fn resumed(&self, config: &TrainConfig) -> CommandResult<Option<Resumed>> {
         if !self.path.exists() {
             return Ok(None);
         }
@@ -47,7 +43,7 @@ impl CheckpointFile {
         };
         match read() {
             Ok(resumed) => Ok(Some(resumed)),
-            Err(error) => self.set_aside(&*error, progress).map(|()| None),
+            Err(error) => Err(self.refused(&*error).into()),
         }
     }
 
@@ -85,18 +81,21 @@ impl CheckpointFile {
         &self.path
     }
 
-    /// Fails because of `error` if the user named the file. Otherwise renames it, so that nothing is lost, and warns.
-    fn set_aside(&self, error: &dyn Error, progress: &ProgressReporter) -> CommandResult {
+    /// The error of a file from which this training cannot resume. A file without a given name is renamed, so that the same command
+    /// starts from the beginning and nothing is lost.
+    fn refused(&self, error: &dyn Error) -> String {
+        let file = self.path.display();
         if self.is_named {
-            return Err(format!("{}: {error}", self.path.display()).into());
+            return format!("{file}: {error}");
         }
         let old = with_suffix(&self.path, "old");
-        std::fs::rename(&self.path, &old)?;
-        let (file, old) = (self.path.display(), old.display());
-        progress.warning(&format!(
-            "{file}: {error}; it is now {old}, and the training starts from the beginning"
-        ));
-        Ok(())
+        match std::fs::rename(&self.path, &old) {
+            Ok(()) => format!(
+                "{file}: {error}. The file is now {}: run the command again to start from the beginning",
+                old.display()
+            ),
+            Err(failed) => format!("{file}: {error}; it cannot be renamed to {}: {failed}", old.display()),
+        }
     }
 }
 
@@ -134,10 +133,8 @@ impl TrainingStart {
         progress: &ProgressReporter,
     ) -> CommandResult<Trainer> {
         if let (Some(Resumed { bytes, .. }), Some(file)) = (&self.resumed, file) {
-            let resumed = Trainer::resume(capture, self.config, bytes, device).map_err(|error| {
-                format!("{}: {error}; --no-checkpoint starts from the beginning", file.path.display())
-            });
-            let trainer = resumed?;
+            let trainer = Trainer::resume(capture, self.config, bytes, device);
+            let trainer = trainer.map_err(|error| file.refused(&error))?;
             let step = trainer.progress().step;
             progress.status(&format!("resuming from step {step}, {}", file.path.display()));
             return Ok(trainer);

@@ -113,8 +113,8 @@ pub(super) struct TrainArgs {
     settings: SettingFlags,
     /// The checkpoint file. If it exists, the training resumes from it; it is deleted at the end. SIGTERM and Ctrl-C write it after
     /// the current step and end with exit code 75; a second signal ends immediately. Default: `OUT.checkpoint`, which is also
-    /// written regularly in trainings of more than a minute. If that file has other settings, it is renamed to
-    /// `OUT.checkpoint.old`, and the training starts from the beginning.
+    /// written regularly in trainings of more than a minute. If that file has other settings or photographs, the command
+    /// renames it to `OUT.checkpoint.old` and fails; the next run starts from the beginning.
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Write and read no checkpoint. A signal ends the training immediately.
@@ -170,7 +170,7 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
     progress.status(&format!("device: {}", device.name()));
     let budget = MemoryBudget::beside(&device);
     let resumed = match &kept {
-        Some(kept) => kept.resumed(&config, progress)?,
+        Some(kept) => kept.resumed(&config)?,
         None => None,
     };
     let (up, config) = match &resumed {

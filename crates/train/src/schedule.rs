@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn photographed_surroundings_replace_the_estimated_colour_of_the_light() {
+    fn photographed_surroundings_replace_the_estimated_colour() {
         let weights = LightWeights { exposure: 1.0, colour: 1.0, ..LightWeights::default() };
         let kept = weights_with_sources(weights, 0.25);
         assert_eq!((kept.exposure, kept.colour), (0.25, 0.25));
