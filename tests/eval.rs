@@ -93,7 +93,14 @@ fn drawn_by(model: &Arc<Model>) -> Capture {
             depth: Some(plane(&frame, Output::Depth)),
         };
         let image = PackedImage::new(&straight(&frame, Output::Rgb), BitDepth::Sixteen);
-        CaptureView { name: format!("test_{i}"), camera, image, light_rotation_deg: 0.0, truth }
+        CaptureView {
+            name: format!("test_{i}"),
+            camera,
+            image,
+            light_rotation_deg: 0.0,
+            light_group: None,
+            truth,
+        }
     };
     Capture {
         layout: "synthetic".into(),

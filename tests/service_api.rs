@@ -412,7 +412,7 @@ async fn a_job_trains_with_the_given_light() {
         let job = ended(client, &job.id).await;
         assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
         let file = client.file(&job.model.unwrap(), "model.safetensors").await.unwrap();
-        let found = model_file::decode(&file).unwrap().environment();
+        let found = model_file::decode(&file).unwrap().environment(0);
         let told = match light.as_ref().map(|l| l.environment.as_str()) {
             Some("studio") => builtin("studio").unwrap(),
             _ => map.clone(),

@@ -1,5 +1,6 @@
 //! `relume eval`: compares a model with the ground truth of a capture.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -14,7 +15,7 @@ use relume_capture::{Capture, ImportLimits, ImportOptions, Up, import};
 use relume_engine::{Device, DeviceChoice};
 use relume_spec::training::TurntableCapture;
 use relume_train::eval::{CaptureFacts, EvalOptions, Lpips, SheetRows, contact_sheet, evaluate};
-use relume_train::{turntable_of_card, up_of_card};
+use relume_train::{light_groups_of_card, turntable_of_card, up_of_card};
 
 /// Compare a model with the held-out views and the ground truth of a capture.
 #[derive(Debug, clap::Args)]
@@ -64,7 +65,8 @@ pub fn run(args: &EvalArgs) -> CommandResult {
     let model = Arc::new(input::read_model(&args.model)?);
     let lpips = args.lpips.as_deref().map(Lpips::read).transpose()?;
     let up = up_of_card(&model.card)?;
-    let capture = load_capture(args, up, turntable_of_card(&model.card)?)?;
+    let groups = light_groups_of_card(&model.card);
+    let capture = load_capture(args, up, turntable_of_card(&model.card)?, &groups)?;
 
     let bar = progress_bar();
     let progress = |done: usize, total: usize| {
@@ -103,11 +105,19 @@ pub fn run(args: &EvalArgs) -> CommandResult {
 }
 
 /// The capture in the world of the model.
-fn load_capture(args: &EvalArgs, up: Up, turntable: TurntableCapture) -> CommandResult<Capture> {
+fn load_capture(
+    args: &EvalArgs,
+    up: Up,
+    turntable: TurntableCapture,
+    light_groups: &BTreeMap<String, String>,
+) -> CommandResult<Capture> {
     let options = ImportOptions { max_side: args.resolution, up, turntable, ..ImportOptions::default() };
     let mut capture = import(&args.capture, &options)?;
     if let Some(file) = &args.light_rotations {
         capture.set_light_rotations(&read_rotations(file)?)?;
+    }
+    if let Err(error) = capture.set_light_groups(light_groups) {
+        eprintln!("warning: held-out photographs are compared under the first light: {error}");
     }
     capture.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
     Ok(capture)

@@ -116,6 +116,16 @@ fn light(card: &Value) -> Vec<String> {
     out.extend(around.map(|share| {
         format!("the light is that of the surroundings; the photographs show {:.0} % of them", 100.0 * share)
     }));
+    let groups =
+        light.get("groups").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str);
+    let groups: Vec<&str> = groups.map(|name| if name.is_empty() { "(no group)" } else { name }).collect();
+    if let [first, ..] = groups[..] {
+        out.push(format!(
+            "{} light groups, each with a light: {}; `recovered` is that of {first}",
+            groups.len(),
+            groups.join(", ")
+        ));
+    }
     for found in light.get("lights").and_then(Value::as_array).into_iter().flatten() {
         let radius = found.get("radius_deg").and_then(Value::as_f64).unwrap_or_default();
         let evidence = match found.get("sharp_over_soft_shadows").and_then(Value::as_f64) {
@@ -208,6 +218,8 @@ mod tests {
             "dominant light towards 0.00, 0.60, 0.80, radius 0.3 degrees; sharp shadows explain colours 35 % better \
              than soft ones"
         );
+        let groups = serde_json::json!({"light": {"groups": ["", "evening"]}});
+        assert!(light(&groups)[1].starts_with("2 light groups, each with a light: (no group), evening;"));
         assert!(light(&Value::Null).is_empty(), "cards without light print nothing");
     }
 

@@ -30,7 +30,7 @@ pub(super) struct ExportArgs {
     /// `metallic`. With this option a `.ply` is a standard file of splats; without it, the `.ply` also has the materials.
     #[arg(long, value_parser = named::<ExportedColour>)]
     layer: Option<ExportedColour>,
-    /// The light of `relit`: a `.hdr` or `.exr` file, the name of a built-in map, or `recovered`.
+    /// The light of `relit`: a `.hdr` or `.exr` file, the name of a built-in map, `recovered`, or `recovered:GROUP` for a light group of the capture.
     #[arg(long, alias = "environment")]
     env: Option<String>,
     /// Rotation of this light about +Z, degrees counter-clockwise.

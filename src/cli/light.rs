@@ -25,11 +25,11 @@ pub(super) fn named_light(name: &str, others: &str) -> Result<EnvMap, String> {
     Ok(loaded.map)
 }
 
-/// The light with a name: `recovered`, or as [`named_light`].
+/// The light with a name: `recovered`, `recovered:GROUP`, or as [`named_light`].
 pub(super) fn illumination(name: &str, model: &Model) -> Result<Illumination, String> {
-    match name {
-        "recovered" => Ok(model.recovered_light()),
-        name => Ok(named_light(name, "recovered ")?.into()),
+    match model.named_recovered_light(name) {
+        Some(light) => light,
+        None => Ok(named_light(name, "recovered ")?.into()),
     }
 }
 

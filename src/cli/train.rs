@@ -1,5 +1,6 @@
 //! `relume train`: trains a model from a capture without a server.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -49,7 +50,7 @@ pub(super) struct TrainArgs {
     /// Repeat the training of a model whose steps were planned on the way, without a clock: a model file, or its card as `.json`. It
     /// contains all settings.
     #[arg(long, value_name = "FILE", conflicts_with_all = [
-        "preset", "time", "until", "method", "resolution", "iterations", "seed", "light", "light_rotations", "turntable_capture", "white_balance",
+        "preset", "time", "until", "method", "resolution", "iterations", "seed", "light", "light_rotations", "light_group", "turntable_capture", "white_balance",
         "grey_card", "reflectance", "crop", "set",
     ])]
     plan: Option<PathBuf>,
@@ -81,6 +82,11 @@ pub(super) struct TrainArgs {
     /// counter-clockwise about the capture's +Z.
     #[arg(long = "light-rotation-file", alias = "light-rotations", value_name = "FILE")]
     light_rotations: Option<PathBuf>,
+    /// Photographs that share a light, in a capture under several lights (day and evening, without and with flash): the name of the
+    /// group and a pattern of file names, `*` for any characters; repeatable. Photographs that match no pattern are a further group. Each
+    /// group gets a light of its own; materials and shape are common.
+    #[arg(long, value_name = "NAME=PATTERN", value_parser = light_group)]
+    light_group: Vec<(String, String)>,
     /// The subject turned in front of a still camera, so that the light rotates with the camera: `yes` (also without a value), `no`
     /// or `auto`, the default: yes if the photographs have masks and the background stands still while the cameras turn.
     #[arg(long, value_name = "auto|yes|no", value_parser = named::<TurntableCapture>, num_args = 0..=1, require_equals = true,
@@ -277,6 +283,9 @@ fn all_overrides(args: &TrainArgs) -> CommandResult<TrainOverrides> {
     if let Some(file) = &args.light_rotations {
         overrides.light_rotation_per_photo = Some(read_rotations(file)?);
     }
+    if !args.light_group.is_empty() {
+        overrides.light_groups = Some(light_groups(&args.light_group)?);
+    }
     if args.turntable_capture.is_some() {
         overrides.turntable_capture = args.turntable_capture;
     }
@@ -291,6 +300,24 @@ fn all_overrides(args: &TrainArgs) -> CommandResult<TrainOverrides> {
         overrides.grey_card = args.grey_card.clone().map(|card| GreyCard { reflectance, ..card });
     }
     Ok(overrides)
+}
+
+/// Reads `NAME=PATTERN`.
+fn light_group(text: &str) -> Result<(String, String), String> {
+    let pair = text.split_once('=').filter(|(name, pattern)| !name.is_empty() && !pattern.is_empty());
+    let (name, pattern) = pair.ok_or("must be NAME=PATTERN, e.g. `evening=IMG_2*`")?;
+    Ok((name.to_owned(), pattern.to_owned()))
+}
+
+/// Patterns of the light groups by name.
+fn light_groups(pairs: &[(String, String)]) -> CommandResult<BTreeMap<String, String>> {
+    let mut groups = BTreeMap::new();
+    for (name, pattern) in pairs {
+        if groups.insert(name.clone(), pattern.clone()).is_some() {
+            return Err(format!("--light-group: `{name}` is given twice; use one pattern for it").into());
+        }
+    }
+    Ok(groups)
 }
 
 fn exposure(text: &str) -> Result<LightExposure, String> {

@@ -14,6 +14,7 @@ use crate::worker::LightSource;
 use relume_api::renders::EnvironmentSpec;
 use relume_api::{EnvironmentId, TenantId};
 use relume_capture::BUILTIN;
+use relume_scene::RECOVERED_GROUP;
 
 /// The light of a render request. An uploaded map is not read yet.
 pub(super) async fn light(
@@ -30,7 +31,10 @@ pub(super) async fn light(
             found.ok_or_else(|| Problem::invalid_field("/environment/id", missing()))
         }
         (None, Some(name), None) => builtin_light(name).ok_or_else(|| {
-            let detail = format!("must be recovered or one of {}", BUILTIN.join(", "));
+            let detail = format!(
+                "must be recovered, recovered:GROUP for a light group of the model, or one of {}",
+                BUILTIN.join(", ")
+            );
             Problem::invalid_field("/environment/builtin", detail)
         }),
         (None, None, Some(text)) => inline_light(app, tenant, text).await,
@@ -41,7 +45,7 @@ pub(super) async fn light(
     }
 }
 
-/// The light with a name in a query: a built-in map, the recovered light, or an uploaded map.
+/// The light with a name in a query: a built-in map, a recovered light, or an uploaded map.
 ///
 /// # Errors
 /// 422, which names `parameter`, if it does not exist.
@@ -74,10 +78,13 @@ async fn stored_light(
     Ok(Some(LightSource::Stored { path, sha256: record.sha256, maps: app.maps.clone() }))
 }
 
-/// A built-in map or the recovered light.
+/// A built-in map or a recovered light.
 fn builtin_light(name: &str) -> Option<LightSource> {
     match name {
         "recovered" => Some(LightSource::Recovered),
+        name if let Some(group) = name.strip_prefix(RECOVERED_GROUP) => {
+            Some(LightSource::RecoveredGroup(group.to_owned()))
+        }
         name if BUILTIN.contains(&name) => Some(LightSource::Builtin(name.to_owned())),
         _ => None,
     }

@@ -33,7 +33,8 @@ pub(super) fn routes() -> OpenApiRouter<AppState> {
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ThumbnailQuery {
-    /// Light: name of a built-in map, identifier of an uploaded map, or `recovered`. Omitted: `recovered`.
+    /// Light: name of a built-in map, identifier of an uploaded map, `recovered`, or `recovered:GROUP` for a light group of the
+    /// model. Omitted: `recovered`.
     pub env: Option<String>,
     /// Side of the square image, 16 to 1024 pixels. Omitted: 256.
     #[param(minimum = 16, maximum = 1024)]

@@ -72,7 +72,8 @@ async fn stream(
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct LightQuery {
-    /// Light: name of a built-in map, identifier of an uploaded map, or `recovered`. Omitted: `recovered`.
+    /// Light: name of a built-in map, identifier of an uploaded map, `recovered`, or `recovered:GROUP` for a light group of the
+    /// model. Omitted: `recovered`.
     environment: Option<String>,
     /// Rotation about world +Z, degrees, counter-clockwise seen from above. Omitted: 0.
     rotation: Option<f64>,

@@ -68,7 +68,7 @@ pub struct EnvironmentSpec {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(value_type = Option<String>)]
     pub id: Option<EnvironmentId>,
-    /// Name of a built-in map, or `recovered`.
+    /// Name of a built-in map, `recovered`, or `recovered:GROUP` for a light group of the model.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub builtin: Option<String>,
     /// Contents of a `.hdr` or `.exr` file, Base64.

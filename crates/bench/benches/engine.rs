@@ -140,6 +140,7 @@ fn capture(side: u32) -> Capture {
         camera: Camera::look_at(eye(i), DVec3::ZERO, DVec3::Z, 0.6, (side, side)).unwrap(),
         image: PackedImage::new(&image, BitDepth::Eight),
         light_rotation_deg: 0.0,
+        light_group: None,
         truth: GroundTruthView::default(),
     };
     Capture {

@@ -71,6 +71,7 @@ fn collect<'a>(
             pose: frame.pose,
             lens: frame.lens,
             light_rotation_deg: frame.light_rotation_deg,
+            light_group: frame.light_group.clone(),
             stated_in: set.file.clone(),
             field: frame.field.clone(),
             split,

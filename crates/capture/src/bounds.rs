@@ -207,6 +207,7 @@ mod tests {
                 camera: Camera::look_at(eye, centre, DVec3::Z, 0.691_111_2, (80, 80)).unwrap(),
                 image: PackedImage::new(&nothing, BitDepth::Eight),
                 light_rotation_deg: 0.0,
+                light_group: None,
                 truth: GroundTruthView::default(),
             }
         };

@@ -75,6 +75,7 @@ pub fn cameras_of_transforms(
         pose: turn * frame.pose,
         lens: frame.lens,
         light_rotation_deg: frame.light_rotation_deg,
+        light_group: None,
         stated_in: file.to_owned(),
         field: frame.field,
         split: Split::Train,

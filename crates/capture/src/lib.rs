@@ -21,6 +21,7 @@ mod json;
 mod json_fields;
 mod layout;
 mod lens;
+mod light_groups;
 mod light_rotations;
 mod lights;
 mod llff;

@@ -54,6 +54,7 @@ pub(super) fn read(
                 distortion: Distortion::None,
             },
             light_rotation_deg: 0.0,
+            light_group: None,
             stated_in: marker.to_owned(),
             field: format!("[{i}]"),
             split: Split::Train,

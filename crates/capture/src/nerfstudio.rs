@@ -35,6 +35,7 @@ pub(super) fn read(
             pose: frame.pose,
             lens: frame.lens,
             light_rotation_deg: frame.light_rotation_deg,
+            light_group: frame.light_group,
             stated_in: marker.to_owned(),
             split: if set.held_out.contains(&frame.path) { Split::Test } else { Split::Train },
             field: frame.field,

@@ -26,6 +26,8 @@ pub(super) struct PhotoEntry {
     pub lens: Lens,
     /// Rotation of the light about +Z, degrees counter-clockwise.
     pub light_rotation_deg: f64,
+    /// Name of its light group, if the capture states one.
+    pub light_group: Option<String>,
     /// The file that states pose and lens, for errors.
     pub stated_in: String,
     /// The entry in that file, e.g. `frames[3]`, for errors.
@@ -130,8 +132,14 @@ fn load_one(
     } else {
         GroundTruthView::default()
     };
-    let light_rotation_deg = photo.light_rotation_deg;
-    let view = CaptureView { name: photo.image.clone(), camera, image, light_rotation_deg, truth };
+    let view = CaptureView {
+        name: photo.image.clone(),
+        camera,
+        image,
+        light_rotation_deg: photo.light_rotation_deg,
+        light_group: photo.light_group.clone(),
+        truth,
+    };
     Ok(LoadedView { view, limited: light.limited })
 }
 

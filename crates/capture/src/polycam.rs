@@ -74,6 +74,7 @@ pub(super) fn read(
             pose: pose(&fields)?,
             lens,
             light_rotation_deg: 0.0,
+            light_group: None,
             stated_in: file.to_owned(),
             field: "camera".to_owned(),
             split: Split::Train,

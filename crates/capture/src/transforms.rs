@@ -11,6 +11,7 @@ use crate::lens::Lens;
 use crate::stated_lens::StatedLens;
 use crate::text::fault_of_name;
 use crate::{CaptureError, CaptureFiles, ImportLimits};
+use relume_spec::training::{LIGHT_GROUP_NAME, is_light_group_name};
 
 /// A parsed `transforms*.json`.
 #[derive(Debug)]
@@ -40,6 +41,8 @@ pub(super) struct TransformsFrame {
     pub lens: Lens,
     /// Rotation of the light about +Z, degrees counter-clockwise; 0 if the frame states none.
     pub light_rotation_deg: f64,
+    /// Name of its light group, if the frame states one.
+    pub light_group: Option<String>,
 }
 
 /// Largest size of the JSON, bytes: about twice that of [`ImportLimits::max_images`] frames. The parsed values take up to 16 times as
@@ -104,7 +107,13 @@ fn frame(fields: &Fields<'_>, shared: &StatedLens) -> Result<TransformsFrame, Ca
     let lens =
         StatedLens::read(fields)?.or(shared).lens().map_err(|(name, reason)| fields.error(name, reason))?;
     let light_rotation_deg = fields.number("light_rotation_deg")?.unwrap_or(0.0);
-    Ok(TransformsFrame { field: fields.path.to_owned(), path, mask, pose, lens, light_rotation_deg })
+    let light_group = fields.text("light_group")?;
+    if light_group.is_some_and(|name| !is_light_group_name(name)) {
+        return Err(fields.error("light_group", LIGHT_GROUP_NAME));
+    }
+    let light_group = light_group.map(str::to_owned);
+    let field = fields.path.to_owned();
+    Ok(TransformsFrame { field, path, mask, pose, lens, light_rotation_deg, light_group })
 }
 
 /// A path with `/` between parts, without the root of an absolute path; `None` if it leaves the capture by `..`.

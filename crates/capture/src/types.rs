@@ -37,6 +37,8 @@ pub struct CaptureView {
     /// Rotation of the light about +Z relative to the other photographs, degrees counter-clockwise seen from above; 0
     /// if the light did not move.
     pub light_rotation_deg: f64,
+    /// Name of the group of photographs that share this photograph's light; `None` for photographs that name none.
+    pub light_group: Option<String>,
     /// Ground-truth layers, when the set has them.
     pub truth: GroundTruthView,
 }

@@ -45,12 +45,16 @@ pub fn write_archive(capture: &Capture) -> Result<Vec<u8>, CaptureError> {
 fn transforms(split: &str, views: &[CaptureView]) -> serde_json::Value {
     let frame = |(i, view): (usize, &CaptureView)| {
         let c = &view.camera;
-        json!({
+        let mut frame = json!({
             "file_path": format!("./{split}_{i:03}/rgba"),
             "transform_matrix": c.to_opengl().transpose().to_cols_array_2d(),
             "w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy,
             "light_rotation_deg": view.light_rotation_deg,
-        })
+        });
+        if let Some(group) = &view.light_group {
+            frame["light_group"] = json!(group);
+        }
+        frame
     };
     let angle = |v: &CaptureView| 2.0 * (0.5 * f64::from(v.camera.width) / v.camera.fx).atan();
     json!({

@@ -3,24 +3,24 @@
 
 use std::borrow::Cow;
 
-use crate::cpu::training::{self, environment_radiance};
+use crate::cpu::training::{self, environment_radiance, tables_of};
 use crate::cpu::{
     self, AttributeSource, Pass, Probes, SurfaceShader, Transport, outward_normals, radiance_image,
     sky_irradiance,
 };
 use crate::step::{Branches, Photo};
 use crate::{
-    LightRotation, LightRotations, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, TrainState,
+    NO_INDIRECT_BASIS, PhotoLight, PhotoLights, ProbeSettings, RasterCamera, TrainState, TurnedLight,
     fibonacci_sphere, indirect_basis,
 };
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables};
-use relume_scene::{Camera, ColumnShift, SplitLight};
+use relume_scene::{Camera, ColumnShift, Model, SplitLight};
 
-/// The state as kernel input, without learned indirect light and with the light at rotation 0.
+/// The state as kernel input, without learned indirect light and with the light of the first block.
 pub fn source(state: &TrainState) -> AttributeSource<'_> {
-    training::source(state, &NO_INDIRECT_BASIS, LightRotation::default())
+    training::source(state, &NO_INDIRECT_BASIS, PhotoLight::default())
 }
 
 /// The physically based branch from the camera and under the light of `photo`: display values in the range of `photo`.
@@ -32,8 +32,7 @@ pub fn physical_image(
     background: [f32; 3],
 ) -> Vec<[f32; 3]> {
     let model = &state.model;
-    let turn = ColumnShift::new(photo.light.radians, model.env_width);
-    let tables = operators.apply(&turn.apply(&environment_radiance(model)));
+    let tables = tables_of(model, operators, photo.light.light);
     let basis = indirect_basis(&tables);
     let sh_degree = model.gaussians.visibility_degree();
     let shader = SurfaceShader { tables: &tables, options: &model.shading, sh_degree, range: photo.range };
@@ -112,20 +111,20 @@ const DISPLAY_EXPONENT: f32 = 1.0 / 2.2;
 
 /// Irradiance of every Gaussian along its normal in `normals`: the sky through its visibility, plus the gathered light.
 ///
-/// Where the light rotates between photographs, it is the irradiance under which a matte surface would have the mean of its
+/// Where the light differs between photographs, it is the irradiance under which a matte surface would have the mean of its
 /// displayed colours in the photographs.
 pub fn irradiance(
     state: &TrainState,
     operators: &EnvOperators,
-    rotations: &LightRotations,
+    lights: &PhotoLights,
     normals: &[[f32; 3]],
 ) -> Vec<[f32; 3]> {
-    if let [turn] = rotations.blocks[..] {
-        return irradiance_under(state, operators, LightRotation { radians: turn, block: 0 }, normals);
+    if let [light] = lights.blocks[..] {
+        return irradiance_under(state, operators, PhotoLight { light, block: 0 }, normals);
     }
     let mut means = vec![[0.0f32; 3]; normals.len()];
-    for (block, (radians, share)) in rotations.blocks.iter().zip(&rotations.shares).enumerate() {
-        let light = LightRotation { radians: *radians, block };
+    for (block, (light, share)) in lights.blocks.iter().zip(&lights.shares).enumerate() {
+        let light = PhotoLight { light: *light, block };
         for (mean, e) in means.iter_mut().zip(irradiance_under(state, operators, light, normals)) {
             (0..3).for_each(|c| mean[c] += share * e[c].max(0.0).powf(DISPLAY_EXPONENT));
         }
@@ -136,11 +135,10 @@ pub fn irradiance(
 fn irradiance_under(
     state: &TrainState,
     operators: &EnvOperators,
-    light: LightRotation,
+    light: PhotoLight,
     normals: &[[f32; 3]],
 ) -> Vec<[f32; 3]> {
-    let turn = ColumnShift::new(light.radians, state.model.env_width);
-    let tables = operators.apply(&turn.apply(&environment_radiance(&state.model)));
+    let tables = tables_of(&state.model, operators, light.light);
     let source = training::source(state, &NO_INDIRECT_BASIS, light);
     let of = |i: usize| -> [f32; 3] {
         let sky = sky_irradiance(&source, &tables, normals[i], i);
@@ -150,32 +148,39 @@ fn irradiance_under(
     (0..state.model.gaussians.len()).map(of).collect()
 }
 
-/// Light that every Gaussian gathers from the model's other surfaces under the present light, at rotation 0 and without the shadows of
+/// Light that every Gaussian gathers from the model's other surfaces under the mean light of the photographs, without the shadows of
 /// the sky: irradiance, mean blocked radiance. It is measured in `directions` directions over `bounces` rounds.
 pub fn gathered_from_surfaces(
     state: &TrainState,
     operators: &EnvOperators,
+    lights: &PhotoLights,
     directions: usize,
     bounces: usize,
 ) -> Vec<[f32; 6]> {
     let source = source(state);
     let probes = Probes::measure(&source, fibonacci_sphere(directions), ProbeSettings::of(source.options));
-    let tables = operators.apply(&environment_radiance(&state.model));
+    let tables = mean_tables(state, operators, lights);
     Transport::new(&probes, outward_normals(&source)).gather(&source, &tables, bounces)
 }
 
 /// Tables of the mean light of the photographs: tables are linear in the light.
-pub fn mean_tables(state: &TrainState, operators: &EnvOperators, rotations: &LightRotations) -> LightTables {
-    let model = &state.model;
-    let radiance = environment_radiance(model);
-    let turned = rotations.blocks.iter().map(|t| ColumnShift::new(*t, model.env_width).apply(&radiance));
-    operators.apply(&weighted_sum(turned, &rotations.shares))
+pub fn mean_tables(state: &TrainState, operators: &EnvOperators, lights: &PhotoLights) -> LightTables {
+    operators.apply(&mean_radiance(&state.model, lights))
+}
+
+/// Radiance of each environment texel, the mean over the photographs.
+fn mean_radiance(model: &Model, lights: &PhotoLights) -> Vec<[f32; 3]> {
+    let turned = |light: &TurnedLight| {
+        let radiance = environment_radiance(model, light.group);
+        Cow::Owned(ColumnShift::new(light.radians, model.env_width).apply(&radiance).into_owned())
+    };
+    weighted_sum(lights.blocks.iter().map(turned), &lights.shares)
 }
 
 /// Gathered light, the mean over the photographs, `[Gaussian]`; empty where none was measured.
-pub fn mean_gathered(state: &TrainState, rotations: &LightRotations) -> Vec<[f32; 6]> {
-    let blocks = (0..rotations.blocks.len()).map(|block| Cow::Borrowed(state.gathered_in(block)));
-    weighted_sum(blocks, &rotations.shares)
+pub fn mean_gathered(state: &TrainState, lights: &PhotoLights) -> Vec<[f32; 6]> {
+    let blocks = (0..lights.blocks.len()).map(|block| Cow::Borrowed(state.gathered_in(block)));
+    weighted_sum(blocks, &lights.shares)
 }
 
 /// The sum of `weights[k]` times the `k`-th list, entry by entry.

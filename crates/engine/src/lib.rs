@@ -20,8 +20,8 @@ mod frames;
 pub mod gpu;
 mod gradients;
 mod indirect;
-mod light_rotation;
 mod objective;
+mod photo_light;
 mod probing;
 mod ray_job;
 mod state;
@@ -43,10 +43,10 @@ pub use frame_job::{BOUNCES, ColourMode, FrameJob, PROBE_DIRECTIONS};
 pub use frames::{FrameLight, FrameRenderer};
 pub use gradients::{Gradients, RowLayout};
 pub use indirect::{NO_INDIRECT_BASIS, indirect_basis, indirect_basis_backward};
-pub use light_rotation::{LightRotation, LightRotations};
 pub use objective::{
     ImageWeights, LightWeights, ParameterWeights, StepWeights, SurfaceWeights, upward_share,
 };
+pub use photo_light::{PhotoLight, PhotoLights, TurnedLight};
 pub use probing::{ProbeSettings, fibonacci_sphere, towards_light};
 pub use ray_job::{RayLight, RayTree};
 pub use relume_layout::constants::TILE;

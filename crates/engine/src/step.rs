@@ -1,8 +1,8 @@
 //! Input and result of one optimisation step.
 
 use crate::adam::{StepCounts, StepSizes};
-use crate::light_rotation::LightRotation;
 use crate::objective::StepWeights;
+use crate::photo_light::{PhotoLight, TurnedLight};
 use relume_layout::channel::{Channels, StepChannels};
 use relume_scene::{Camera, DisplayRange, Field, Gaussians, IndirectForm, ShadeAt, ShadingOptions};
 
@@ -15,8 +15,8 @@ pub struct Photo {
     pub pixels: Vec<[f32; 3]>,
     /// Mask in [0, 1], row-major; empty when the capture has no masks.
     pub alpha: Vec<f32>,
-    /// Rotation of its light.
-    pub light: LightRotation,
+    /// Its light.
+    pub light: PhotoLight,
     /// Range of the pixels, and of the images that are compared with them.
     pub range: DisplayRange,
 }
@@ -122,8 +122,8 @@ pub struct ProbeMeasurement<'a> {
     pub directions: usize,
     /// Bounces of gathered light, 0 for none. Models that do not shade with gathered light gather none.
     pub bounces: usize,
-    /// Rotations of the light, radians; each gets a block of gathered light.
-    pub rotations: &'a [f64],
+    /// Lights, each of which gets a block of gathered light.
+    pub lights: &'a [TurnedLight],
     /// Effect on the visibility field.
     pub field: FieldUpdate,
     /// Number of successive measurements; each starts from the open side that the previous one found.

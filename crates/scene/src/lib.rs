@@ -25,8 +25,8 @@ pub use gaussians::{Gaussians, sh_count};
 pub use illumination::Illumination;
 pub use image::{ImageRgba, Plane};
 pub use model::{
-    DiffuseForm, Framing, IndirectForm, Model, ModelError, NormalForm, ShadeAt, ShadingOptions,
-    VisibilityForm, softplus, softplus_inverse,
+    DiffuseForm, Framing, IndirectForm, MAX_LIGHT_GROUPS, Model, ModelError, NormalForm, RECOVERED_GROUP,
+    ShadeAt, ShadingOptions, VisibilityForm, softplus, softplus_inverse,
 };
 pub use opaque_extent::{opaque_centre, opaque_radius};
 pub use output::Output;

@@ -175,6 +175,12 @@ impl Framing {
     }
 }
 
+/// Prefix of the name of a recovered light of one light group: `recovered:evening`.
+pub const RECOVERED_GROUP: &str = "recovered:";
+
+/// Largest number of light groups of a model.
+pub const MAX_LIGHT_GROUPS: usize = 8;
+
 /// A relightable model in a normalised world: the scene fills about the unit ball around the origin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
@@ -182,13 +188,13 @@ pub struct Model {
     pub gaussians: Gaussians,
     /// K albedo prototypes, linear Rec.709 (Eq. 23).
     pub prototypes: Vec<[f32; 3]>,
-    /// Raw environment of the capture, before softplus, row-major `env_height x env_width`.
+    /// Raw environments of the capture, before softplus: one for each light group, each row-major `env_height x env_width`.
     pub env_raw: Vec<[f32; 3]>,
     /// Columns of the environment.
     pub env_width: usize,
     /// Rows of the environment.
     pub env_height: usize,
-    /// Dominant lights of that environment; each has its own measured shadow.
+    /// Dominant lights of these environments; each has its own measured shadow.
     pub lights: LightSplit,
     /// The options of the forward model with which the parameters were trained.
     pub shading: ShadingOptions,
@@ -214,7 +220,7 @@ pub struct ModelError {
 }
 
 impl Model {
-    /// A model in capture units with default shading. The environment has `width` times `height` raw texels and no separate lights.
+    /// A model in capture units with default shading. Each environment has `width` times `height` raw texels and no separate lights.
     pub fn new(
         gaussians: Gaussians,
         prototypes: Vec<[f32; 3]>,
@@ -236,20 +242,71 @@ impl Model {
         }
     }
 
-    /// The recovered environment as radiance (softplus of the raw values).
-    pub fn environment(&self) -> EnvMap {
-        let texels = self.env_raw.iter().map(|t| t.map(softplus)).collect();
+    /// Number of texels of an environment.
+    pub fn env_texels(&self) -> usize {
+        self.env_width * self.env_height
+    }
+
+    /// Number of light groups: sets of photographs that share a light. Each has an environment; materials are common.
+    pub fn light_groups(&self) -> usize {
+        self.env_raw.len() / self.env_texels().max(1)
+    }
+
+    /// Raw environment of light group `group`; empty where there is no such group.
+    pub fn env_raw_of(&self, group: usize) -> &[[f32; 3]] {
+        self.env_raw.chunks(self.env_texels().max(1)).nth(group).unwrap_or(&[])
+    }
+
+    /// The recovered environment of light group `group` as radiance (softplus of the raw values). Without such a group it is black.
+    pub fn environment(&self, group: usize) -> EnvMap {
+        let texels = self.env_raw_of(group).iter().map(|t| t.map(softplus)).collect();
         match EnvMap::new(self.env_width, self.env_height, texels) {
             Ok((map, _)) => map,
-            // Unreachable for a checked model; a black map has no light.
             Err(_) => EnvMap::constant(self.env_width, self.env_height, [0.0; 3]),
         }
     }
 
-    /// The light of the photographs, with the dominant lights that the training found in it.
+    /// The light of the photographs of the first light group, with the dominant lights that the training found in it.
     pub fn recovered_light(&self) -> Illumination {
+        self.recovered_light_of(0)
+    }
+
+    /// The light of the photographs of light group `group`, with the dominant lights that the training found.
+    pub fn recovered_light_of(&self, group: usize) -> Illumination {
         let split = (!self.lights.is_empty()).then(|| self.lights.clone());
-        Illumination { environment: self.environment(), split }
+        Illumination { environment: self.environment(group), split }
+    }
+
+    /// Names of the light groups by index, according to the model card; the name of photographs that state no group is empty. A model of one
+    /// light has one group with an empty name.
+    pub fn light_group_names(&self) -> Vec<&str> {
+        let names = self.card.pointer("/light/groups").and_then(serde_json::Value::as_array);
+        let names: Vec<&str> = names.into_iter().flatten().filter_map(serde_json::Value::as_str).collect();
+        if names.len() == self.light_groups() { names } else { vec![""] }
+    }
+
+    /// Index of the light group `name`.
+    pub fn light_group(&self, name: &str) -> Option<usize> {
+        self.light_group_names().iter().position(|other| *other == name)
+    }
+
+    /// The light with a name that requests use: `recovered`, the light of the photographs of the first light group, or `recovered:GROUP`.
+    /// `None` for other names.
+    ///
+    /// # Errors
+    /// The reason, if the model has no such light group.
+    pub fn named_recovered_light(&self, name: &str) -> Option<Result<Illumination, String>> {
+        if name == "recovered" {
+            return Some(Ok(self.recovered_light()));
+        }
+        let name = name.strip_prefix(RECOVERED_GROUP)?;
+        let groups = || {
+            let names: Vec<&str> =
+                self.light_group_names().into_iter().filter(|name| !name.is_empty()).collect();
+            if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+        };
+        let missing = || format!("the model has no light group `{name}`; its light groups: {}", groups());
+        Some(self.light_group(name).map(|group| self.recovered_light_of(group)).ok_or_else(missing))
     }
 
     /// False for a model of colour alone, according to its card: trained as one, or imported from a file without materials.
@@ -269,13 +326,14 @@ impl Model {
         if self.prototypes.len() != self.gaussians.prototypes() {
             return err("prototypes", "their number differs from the Gaussians' K");
         }
-        if self.env_raw.len() != self.env_width * self.env_height || self.env_raw.is_empty() {
+        let texels = self.env_texels();
+        if texels == 0 || !(1..=MAX_LIGHT_GROUPS).any(|groups| self.env_raw.len() == groups * texels) {
             return err("environment", "its size does not fit its texels");
         }
         if let Some((field, reason)) = self.shading.fault() {
             return err(field, reason);
         }
-        if let Some(reason) = self.lights.fault(self.env_raw.len()) {
+        if let Some(reason) = self.lights.fault(texels) {
             return err("lights", reason);
         }
         for field in Field::ALL {

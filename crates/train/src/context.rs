@@ -1,7 +1,7 @@
 //! Inputs of the decisions during a training: configuration, light operators, capture properties.
 
 use crate::schedule;
-use relume_engine::{Branches, LightRotations, Photo, TrainState, evaluation};
+use relume_engine::{Branches, Photo, PhotoLights, TrainState, evaluation};
 use relume_scene::light::EnvOperators;
 use relume_spec::training::TrainConfig;
 
@@ -13,7 +13,7 @@ pub struct StepContext<'a> {
     /// Operators of the training environment.
     pub operators: &'a EnvOperators,
     /// Rotations of the photographs' light.
-    pub rotations: &'a LightRotations,
+    pub lights: &'a PhotoLights,
     /// Display-referred background.
     pub background: [f32; 3],
     /// Whether the capture has masks.

@@ -26,7 +26,8 @@ const MIN_GAIN_SPREAD: f32 = 0.045;
 /// Largest accepted `|ln(gain)|`.
 const MAX_LOG_GAIN: f32 = 1.0;
 
-/// Gains of the photographs of `data` relative to the physically based branch, normalised to a geometric mean of 1.
+/// Gains of the photographs of `data` relative to the physically based branch, normalised to a geometric mean of 1 in each light group:
+/// the light of a group contains its mean.
 pub fn gains(state: &TrainState, context: &StepContext<'_>, data: &Dataset) -> Vec<Gain> {
     let logs: Vec<[f32; 3]> = (0..data.len())
         .into_par_iter()
@@ -35,11 +36,18 @@ pub fn gains(state: &TrainState, context: &StepContext<'_>, data: &Dataset) -> V
             median_ratio(&small, &context.physical_image(state, &small))
         })
         .collect();
-    let n = logs.len().max(1) as f32;
-    let mean: [f32; 3] = std::array::from_fn(|c| logs.iter().map(|l| l[c]).sum::<f32>() / n);
-    let gain =
-        |l: &[f32; 3]| std::array::from_fn(|c| (l[c] - mean[c]).clamp(-MAX_LOG_GAIN, MAX_LOG_GAIN).exp());
-    logs.iter().map(gain).collect()
+    let group = |i: usize| data.without_pixels(i, PhotoSize::Half).light.light.group;
+    let groups: Vec<usize> = (0..data.len()).map(group).collect();
+    let mut sums = vec![([0.0f32; 3], 0.0f32); data.lights.groups()];
+    for (l, group) in logs.iter().zip(&groups) {
+        (0..3).for_each(|c| sums[*group].0[c] += l[c]);
+        sums[*group].1 += 1.0;
+    }
+    let gain = |(l, group): (&[f32; 3], &usize)| {
+        let (sum, n) = sums[*group];
+        std::array::from_fn(|c| (l[c] - sum[c] / n).clamp(-MAX_LOG_GAIN, MAX_LOG_GAIN).exp())
+    };
+    logs.iter().zip(&groups).map(gain).collect()
 }
 
 /// True when `gains` differ by more than those of photographs with constant exposure.

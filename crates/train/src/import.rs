@@ -1,5 +1,6 @@
 //! Import of captures for training.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::TrainError;
@@ -10,7 +11,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 /// A capture at the resolution of the training, without ground truth, so that no memory holds unused pixels. It has
-/// the light rotations and the grey card's colour that `config` states.
+/// the light rotations, the light groups and the grey card's colour that `config` states.
 ///
 /// # Errors
 /// [`TrainError::Capture`] for everything that the importer refuses, with file and field, for a light rotation of an
@@ -50,6 +51,7 @@ pub fn import_in_world(
     let mut capture = undecoded.decode()?;
     memory::check(&PhotographSizes::of(&capture), config, budget)?;
     capture.set_light_rotations(&config.light_rotation_per_photo)?;
+    capture.set_light_groups(&config.light_groups)?;
     if let Some(card) = &config.grey_card {
         capture.measure_grey_card(path, card, up, limits)?;
     }
@@ -68,6 +70,12 @@ pub fn turntable_of_card(card: &Value) -> Result<TurntableCapture, TrainError> {
         ))
     })?;
     Ok(setting.unwrap_or(TurntableCapture::No))
+}
+
+/// Patterns of the light groups with which the model of this card was trained, by name.
+pub fn light_groups_of_card(card: &Value) -> BTreeMap<String, String> {
+    let groups = card.pointer("/config/light_groups").map(BTreeMap::deserialize);
+    groups.and_then(Result::ok).unwrap_or_default()
 }
 
 #[cfg(test)]

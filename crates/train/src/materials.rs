@@ -1,7 +1,7 @@
 //! Initial values and restarts of the materials: albedo from the colours of the radiance branch, with the shading
 //! divided out.
 
-use relume_engine::{LightRotations, TrainState, evaluation, linear_from_srgb, sigmoid};
+use relume_engine::{PhotoLights, TrainState, evaluation, linear_from_srgb, sigmoid};
 use relume_scene::light::{EnvOperators, LightColour, UPWARD_LUMINANCE};
 use relume_scene::{DisplayRange, Field, Gaussians};
 
@@ -48,7 +48,7 @@ pub fn initialise(state: &mut TrainState, light: LightColour, range: DisplayRang
 }
 
 /// Restarts the materials from colours in `range` with the shading divided out: `albedo = colour pi / E`, where `E` is the
-/// irradiance of each Gaussian through its visibility plus the gathered light, over the `rotations` of the light.
+/// irradiance of each Gaussian through its visibility plus the gathered light, over the `lights` of the photographs.
 /// `normals` are the outward normals of the measured visibility. Metalness and roughness, which a wrong light
 /// distorts, restart from their initial values.
 ///
@@ -57,11 +57,11 @@ pub fn initialise(state: &mut TrainState, light: LightColour, range: DisplayRang
 pub fn restart_albedo(
     state: &mut TrainState,
     operators: &EnvOperators,
-    rotations: &LightRotations,
+    lights: &PhotoLights,
     normals: &[[f32; 3]],
     range: DisplayRange,
 ) {
-    let irradiance = evaluation::irradiance(state, operators, rotations, normals);
+    let irradiance = evaluation::irradiance(state, operators, lights, normals);
     let albedo = |(i, irradiance): (usize, &[f32; 3])| -> [f32; 3] {
         let colour = colour(&state.model.gaussians, i, range);
         std::array::from_fn(|c| colour[c] * std::f32::consts::PI / irradiance[c].max(MIN_IRRADIANCE))
@@ -209,7 +209,7 @@ mod tests {
         assert!(control.is_finite() && control > 0.1, "the control: colours with their shading, {control}");
         state.model.gaussians.field_mut(Field::Residual).fill(0.05);
         state.moments.second.field_mut(Field::ProtoLogits).fill(1.0);
-        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals, DisplayRange::Unit);
+        restart_albedo(&mut state, &operators, &PhotoLights::default(), &normals, DisplayRange::Unit);
         assert!(albedo_error(&state) < 0.01, "{}", albedo_error(&state));
         assert!(state.moments.second.field(Field::ProtoLogits).iter().all(|m| *m == 0.0));
     }
@@ -219,9 +219,15 @@ mod tests {
         let degrees = [0.0, 90.0];
         let radians = degrees.map(f64::to_radians);
         let (mut state, operators, normals) = ball_under([0.9, 0.0, 0.0], &radians);
-        restart_albedo(&mut state, &operators, &LightRotations::of(&degrees).0, &normals, DisplayRange::Unit);
+        restart_albedo(
+            &mut state,
+            &operators,
+            &PhotoLights::of(&degrees.map(|d| (0, d))).0,
+            &normals,
+            DisplayRange::Unit,
+        );
         assert!(albedo_error(&state) < 0.015, "{}", albedo_error(&state));
-        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals, DisplayRange::Unit);
+        restart_albedo(&mut state, &operators, &PhotoLights::default(), &normals, DisplayRange::Unit);
         let control = albedo_error(&state);
         assert!(control.is_finite() && control > 0.02, "the control: rotations ignored, {control}");
     }
@@ -245,7 +251,7 @@ mod tests {
             state.model.gaussians.field_mut(field).fill(4.0);
             state.moments.first.field_mut(field).fill(1.0);
         }
-        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals, DisplayRange::Unit);
+        restart_albedo(&mut state, &operators, &PhotoLights::default(), &normals, DisplayRange::Unit);
         for (field, start) in [(Field::MetalLogit, METALNESS), (Field::RoughLogit, ROUGHNESS)] {
             let values = state.model.gaussians.field(field);
             assert!(values.iter().all(|v| (sigmoid(*v) - start).abs() < 1e-6), "{field:?}: {}", values[0]);
@@ -258,7 +264,7 @@ mod tests {
         let (mut state, operators, normals) = shaded_ball();
         state.model.env_raw.fill([softplus_inverse(1e-6); 3]);
         state.model.gaussians.field_mut(Field::Radiance).fill(10.0);
-        restart_albedo(&mut state, &operators, &LightRotations::default(), &normals, DisplayRange::Unit);
+        restart_albedo(&mut state, &operators, &PhotoLights::default(), &normals, DisplayRange::Unit);
         assert!(state.model.prototypes.iter().flatten().all(|v| (RANGE.0..=RANGE.1).contains(v)));
         assert!(state.model.check().is_ok());
     }

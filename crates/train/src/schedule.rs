@@ -1,7 +1,7 @@
 //! The schedule: the trained parameters, weights and step sizes of each step as a function of progress.
 
 use relume_engine::{
-    Branches, FieldUpdate, ImageWeights, LightRotations, LightWeights, ParameterWeights, PhotoSize,
+    Branches, FieldUpdate, ImageWeights, LightWeights, ParameterWeights, PhotoLights, PhotoSize,
     ProbeMeasurement, StepSizes, StepWeights, SurfaceWeights,
 };
 use relume_scene::Field;
@@ -173,17 +173,17 @@ pub fn step_sizes(config: &TrainConfig, branches: Branches, progress: f32) -> St
     StepSizes { fields, prototypes: rates.prototypes * on, environment: rates.environment * on }
 }
 
-/// The measurement of visibility and gathered light: `repeats` times in succession, under each of the `rotations` of
+/// The measurement of visibility and gathered light: `repeats` times in succession, under each of the `lights` of
 /// the light.
 pub fn measurement<'a>(
     config: &TrainConfig,
-    rotations: &'a LightRotations,
+    lights: &'a PhotoLights,
     repeats: usize,
 ) -> ProbeMeasurement<'a> {
     ProbeMeasurement {
         directions: config.probe_directions as usize,
         bounces: config.bounces as usize,
-        rotations: &rotations.blocks,
+        lights: &lights.blocks,
         field: match config.labels {
             LabelSource::Probes => FieldUpdate::Replace,
             LabelSource::Both => FieldUpdate::Start,

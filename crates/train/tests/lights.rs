@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use relume_engine::{Device, FieldUpdate, ProbeMeasurement, TrainState, TrainingEngine, TrainingLimits};
+use relume_engine::{
+    Device, FieldUpdate, ProbeMeasurement, TrainState, TrainingEngine, TrainingLimits, TurnedLight,
+};
 use relume_scene::light::{EnvOperators, TableResolution};
 use relume_scene::{
     Field, Illumination, LightSplit, MAX_LIGHTS, Model, ShadeAt, SplitLight, VisibilityForm, texel_directions,
@@ -46,7 +48,13 @@ fn training(device: &Device, model: Model, operators: &Arc<EnvOperators>) -> Box
 }
 
 fn measurement() -> ProbeMeasurement<'static> {
-    ProbeMeasurement { directions: 16, bounces: 1, field: FieldUpdate::Keep, repeats: 1, rotations: &[0.0] }
+    ProbeMeasurement {
+        directions: 16,
+        bounces: 1,
+        field: FieldUpdate::Keep,
+        repeats: 1,
+        lights: &[TurnedLight { group: 0, radians: 0.0 }],
+    }
 }
 
 /// The Gaussian nearest to `place`.

@@ -6,6 +6,7 @@
 mod exposures;
 mod gpu;
 mod gpu_rays;
+mod light_groups;
 mod lights;
 mod scene_referred;
 mod support;

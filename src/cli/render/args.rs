@@ -13,7 +13,7 @@ use relume_spec::rendering::{AlphaMode, Background, ColourDepth, Output, Primari
 pub(in crate::cli) struct RenderArgs {
     /// The model file.
     pub(super) model: PathBuf,
-    /// The light: a `.hdr` or `.exr` file, the name of a built-in map, or `recovered`.
+    /// The light: a `.hdr` or `.exr` file, the name of a built-in map, `recovered`, or `recovered:GROUP` for a light group of the capture.
     #[arg(long, visible_alias = "environment", default_value = "recovered")]
     pub(super) env: String,
     /// Rotation of the light about +Z, degrees counter-clockwise.

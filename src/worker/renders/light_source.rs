@@ -9,7 +9,7 @@ use lru::LruCache;
 use relume_capture::builtin;
 use relume_capture::formats::environment;
 use relume_scene::light::map_rows::RENDERED_ROWS;
-use relume_scene::{EnvMap, Illumination, Model};
+use relume_scene::{EnvMap, Illumination, Model, RECOVERED_GROUP};
 
 /// Number of decoded maps in memory. A map of [`RENDERED_ROWS`] rows takes 25 MB.
 const DECODED_MAPS: NonZeroUsize = NonZeroUsize::new(4).unwrap();
@@ -43,8 +43,10 @@ impl DecodedMaps {
 pub enum LightSource {
     /// A built-in map.
     Builtin(String),
-    /// The recovered light of the model.
+    /// The recovered light of the model, of its first light group.
     Recovered,
+    /// The recovered light of a light group of the model, by the name of the group.
+    RecoveredGroup(String),
     /// An environment file on this machine, by content hash.
     Stored {
         /// Content hash, the cache key.
@@ -69,6 +71,7 @@ impl LightSource {
         match self {
             Self::Builtin(name) => format!("builtin:{name}"),
             Self::Recovered => "recovered".to_owned(),
+            Self::RecoveredGroup(name) => format!("{RECOVERED_GROUP}{name}"),
             Self::Stored { sha256, .. } | Self::Inline { sha256, .. } => format!("sha256:{sha256}"),
         }
     }
@@ -81,9 +84,12 @@ impl LightSource {
     /// The light for a model.
     ///
     /// # Errors
-    /// The reason why the file cannot be read.
+    /// The reason why the file cannot be read, or why the model has no such light.
     pub fn illumination(&self, model: &Model) -> Result<Illumination, String> {
-        Ok(self.map()?.map_or_else(|| model.recovered_light(), |map| Illumination::from(&*map)))
+        match self.map()? {
+            Some(map) => Ok(Illumination::from(&*map)),
+            None => model.named_recovered_light(&self.key()).unwrap_or_else(|| Ok(model.recovered_light())),
+        }
     }
 
     /// The map; `None` for the recovered light, which depends on the model.
@@ -93,7 +99,7 @@ impl LightSource {
     pub fn map(&self) -> Result<Option<Arc<EnvMap>>, String> {
         match self {
             Self::Inline { map, .. } => Ok(Some(map.clone())),
-            Self::Recovered => Ok(None),
+            Self::Recovered | Self::RecoveredGroup(_) => Ok(None),
             Self::Builtin(name) => {
                 builtin(name).map(|map| Some(Arc::new(map))).ok_or_else(|| "is not a built-in map".to_owned())
             }

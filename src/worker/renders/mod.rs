@@ -352,6 +352,7 @@ fn prepare(
         LightSource::Stored { path, sha256, .. } if !path.exists() => {
             RenderFailure::Gone { what: "environment", id: sha256.clone() }
         }
+        LightSource::RecoveredGroup(_) => RenderFailure::Refused { field: "environment", reason: error },
         _ => internal(error),
     })?;
     Ok(Arc::new(renderer.prepare_light(illumination.rotated_and_scaled(rotation_deg, 1.0))?))

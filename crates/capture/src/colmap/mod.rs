@@ -113,6 +113,7 @@ fn photo(
         pose: pose(image, turn),
         lens: *lens,
         light_rotation_deg: 0.0,
+        light_group: None,
         stated_in: stated_in.to_owned(),
         field,
         split: Split::Train,

@@ -25,6 +25,10 @@ const DIFFUSE_AT_GAUSSIANS: u32 = 2;
 /// Version of models shaded per pixel, whose header does not state it.
 const ALL_DEFERRED: u32 = 1;
 const HEADER_KEY: &str = "relume";
+/// Tensor of the environment of the first light group.
+const ENVIRONMENT_KEY: &str = "env_raw";
+/// Tensor of the environments of further light groups. Builds that do not know it read the first one.
+const OTHER_ENVIRONMENTS_KEY: &str = "env_raw_of_other_groups";
 /// Tensor of the lights split off the environment: direction and angular radius.
 const LIGHTS_KEY: &str = "lights";
 /// Tensor of the share of each texel that belongs to each light.
@@ -58,6 +62,9 @@ struct ModelHeader {
     /// Number of lights split off the environment; absent for 0.
     #[serde(default, skip_serializing_if = "is_none")]
     lights: usize,
+    /// Number of light groups; absent for 1.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    light_groups: usize,
     shading: ShadingOptions,
     world_scale: f64,
     world_offset: [f64; 3],
@@ -69,6 +76,14 @@ struct ModelHeader {
 
 fn is_none(lights: &usize) -> bool {
     *lights == 0
+}
+
+fn one() -> usize {
+    1
+}
+
+fn is_one(groups: &usize) -> bool {
+    *groups == 1
 }
 
 /// An f32 tensor that safetensors can serialise.
@@ -106,8 +121,13 @@ pub fn tensors(model: &Model) -> Vec<(String, Tensor<'_>)> {
     let mut out = Vec::from(gaussians);
     let prototypes: &[f32] = model.prototypes.as_flattened();
     out.push(("prototypes".to_owned(), Tensor::new([model.prototypes.len(), 3], prototypes)));
-    let env: &[f32] = model.env_raw.as_flattened();
-    out.push(("env_raw".to_owned(), Tensor::new([model.env_height, model.env_width, 3], env)));
+    let (first, others) = model.env_raw.split_at(model.env_texels().min(model.env_raw.len()));
+    let shape = [model.env_height, model.env_width, 3];
+    out.push((ENVIRONMENT_KEY.to_owned(), Tensor::new(shape, first.as_flattened())));
+    if !others.is_empty() {
+        let shape = [&[model.light_groups() - 1], &shape[..]].concat();
+        out.push((OTHER_ENVIRONMENTS_KEY.to_owned(), Tensor::new(shape, others.as_flattened())));
+    }
     let LightSplit { lights, shares } = &model.lights;
     if !lights.is_empty() {
         let rows: Vec<f32> = lights.iter().flat_map(|l| [&l.direction[..], &[l.radius]].concat()).collect();
@@ -129,6 +149,7 @@ pub fn header(model: &Model) -> String {
         env_width: model.env_width,
         env_height: model.env_height,
         lights: model.lights.lights.len(),
+        light_groups: model.light_groups(),
         shading: model.shading,
         world_scale: model.world_scale,
         world_offset: model.world_offset.to_array(),
@@ -216,13 +237,18 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
         let flat = floats(&file, name, count.saturating_mul(3))?;
         Ok(flat.as_chunks::<3>().0.to_vec())
     };
+    let texels = header.env_width.saturating_mul(header.env_height);
+    let mut environments = triples(ENVIRONMENT_KEY, texels)?;
+    if header.light_groups > 1 {
+        environments.extend(triples(OTHER_ENVIRONMENTS_KEY, texels.saturating_mul(header.light_groups - 1))?);
+    }
     let model = Model {
         prototypes: triples("prototypes", header.prototypes)?,
-        env_raw: triples("env_raw", header.env_width.saturating_mul(header.env_height))?,
+        env_raw: environments,
         gaussians,
         env_width: header.env_width,
         env_height: header.env_height,
-        lights: split(&file, header.lights, header.env_width.saturating_mul(header.env_height))?,
+        lights: split(&file, header.lights, texels)?,
         shading: header.shading,
         world_scale: header.world_scale,
         world_offset: header.world_offset.into(),

@@ -100,6 +100,7 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
             camera,
             image: PackedImage::new(&image, BitDepth::Sixteen),
             light_rotation_deg: 0.0,
+            light_group: None,
             truth: GroundTruthView::default(),
         });
     }
@@ -110,7 +111,7 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
         let (image, truth) = (image(&camera, &pixels, 0), truth(&camera, &pixels, options));
         let name = format!("test_{i:03}/rgba.png");
         let image = PackedImage::new(&image, BitDepth::Sixteen);
-        test.push(CaptureView { name, camera, image, light_rotation_deg: 0.0, truth });
+        test.push(CaptureView { name, camera, image, light_rotation_deg: 0.0, light_group: None, truth });
     }
     Ok(Capture {
         layout: "synthetic".to_owned(),

@@ -38,7 +38,14 @@ fn view(name: usize, camera: Camera, offset: usize, background: Background) -> C
     let pixels = (0..(SIZE * SIZE) as usize).map(pixel).collect();
     let image = PackedImage::new(&ImageRgba { width: SIZE, height: SIZE, pixels }, BitDepth::Eight);
     let truth = GroundTruthView::default();
-    CaptureView { name: format!("{name:03}.jpg"), camera, image, light_rotation_deg: 0.0, truth }
+    CaptureView {
+        name: format!("{name:03}.jpg"),
+        camera,
+        image,
+        light_rotation_deg: 0.0,
+        light_group: None,
+        truth,
+    }
 }
 
 /// Sixteen photographs all around.

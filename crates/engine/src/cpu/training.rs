@@ -13,8 +13,8 @@ use crate::cpu::{
 use crate::density::{DensityPlan, DensitySignals};
 use crate::step::{FieldUpdate, PhotoId, ProbeMeasurement, Step, StepResult};
 use crate::{
-    DeviceError, Gradients, LightRotation, NO_INDIRECT_BASIS, ProbeSettings, RasterCamera, StepWeights,
-    TrainState, fibonacci_sphere, indirect_basis, training,
+    DeviceError, Gradients, NO_INDIRECT_BASIS, PhotoLight, ProbeSettings, RasterCamera, StepWeights,
+    TrainState, TurnedLight, fibonacci_sphere, indirect_basis, training,
 };
 use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables};
@@ -41,7 +41,7 @@ pub struct ObjectiveResult {
 pub(crate) fn source<'a>(
     state: &'a TrainState,
     basis: &'a [[f32; 3]; 16],
-    light: LightRotation,
+    light: PhotoLight,
 ) -> AttributeSource<'a> {
     let Model { gaussians, prototypes, shading, .. } = &state.model;
     AttributeSource {
@@ -52,9 +52,15 @@ pub(crate) fn source<'a>(
     }
 }
 
-/// Radiance of the model's environment texels.
-pub(crate) fn environment_radiance(model: &Model) -> Vec<[f32; 3]> {
-    model.env_raw.iter().map(|t| t.map(softplus)).collect()
+/// Radiance of the environment texels of light group `group`, without rotation.
+pub(crate) fn environment_radiance(model: &Model, group: usize) -> Vec<[f32; 3]> {
+    model.env_raw_of(group).iter().map(|t| t.map(softplus)).collect()
+}
+
+/// The tables of one of the model's lights.
+pub(crate) fn tables_of(model: &Model, operators: &EnvOperators, light: TurnedLight) -> LightTables {
+    let turn = ColumnShift::new(light.radians, model.env_width);
+    operators.apply(&turn.apply(&environment_radiance(model, light.group)))
 }
 
 impl CpuTraining {
@@ -175,8 +181,9 @@ fn radiance_branch(step: &Step<'_>, state: &TrainState) -> ObjectiveResult {
 /// The whole objective (Eq. 29 and additions).
 fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) -> ObjectiveResult {
     let (photo, w, model) = (step.photo, &step.weights, &state.model);
-    let radiance = environment_radiance(model);
-    let turn = ColumnShift::new(photo.light.radians, model.env_width);
+    let PhotoLight { light: TurnedLight { group, radians }, .. } = photo.light;
+    let radiance = environment_radiance(model, group);
+    let turn = ColumnShift::new(radians, model.env_width);
     let tables = operators.apply(&turn.apply(&radiance));
     let basis = indirect_basis(&tables);
     let sh_degree = model.gaussians.visibility_degree();
@@ -203,11 +210,11 @@ fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
     let by_turned = operators.apply_transposed(&by_tables);
     let mut by_radiance = turn.apply_transposed(&by_turned).into_owned();
     loss += light_terms(step, model, &radiance, &mut by_radiance);
-    gradients.env_raw = by_radiance
-        .iter()
-        .zip(&model.env_raw)
-        .map(|(g, raw)| std::array::from_fn(|c| g[c] / (1.0 + (-raw[c]).exp())))
-        .collect();
+    gradients.env_raw = vec![[0.0; 3]; model.env_raw.len()];
+    let by_raw = gradients.env_raw.iter_mut().zip(&model.env_raw).skip(group * model.env_texels());
+    for ((by_raw, raw), g) in by_raw.zip(&by_radiance) {
+        *by_raw = std::array::from_fn(|c| g[c] / (1.0 + (-raw[c]).exp()));
+    }
     loss += parameter_terms(w, &source, &pass, &state.labels, &mut gradients);
     ObjectiveResult { loss, mse: physical.mse, gradients }
 }
@@ -268,7 +275,7 @@ fn gathered(
     tables: &[LightTables],
     bounces: usize,
 ) -> Vec<[f32; 6]> {
-    let source = source(state, &NO_INDIRECT_BASIS, LightRotation::default());
+    let source = source(state, &NO_INDIRECT_BASIS, PhotoLight::default());
     let sky = source.options.has_sky_shadows().then(|| SkyShadows::new(&source, probes, &outward));
     let transport = Transport::new(probes, outward);
     let under = |tables: &LightTables| {
@@ -287,14 +294,11 @@ fn measure(state: &mut TrainState, operators: &EnvOperators, how: &ProbeMeasurem
     if state.model.shading.visibility == VisibilityForm::Off && !gathers {
         return;
     }
-    let radiance = environment_radiance(&state.model);
-    let turned =
-        |turn: &f64| operators.apply(&ColumnShift::new(*turn, state.model.env_width).apply(&radiance));
-    let tables: Vec<LightTables> =
-        if gathers { how.rotations.iter().map(turned).collect() } else { Vec::new() };
+    let tables = |light: &TurnedLight| tables_of(&state.model, operators, *light);
+    let tables: Vec<LightTables> = if gathers { how.lights.iter().map(tables).collect() } else { Vec::new() };
     let sh_degree = state.model.gaussians.visibility_degree();
     for _ in 0..how.repeats {
-        let source = source(state, &NO_INDIRECT_BASIS, LightRotation::default());
+        let source = source(state, &NO_INDIRECT_BASIS, PhotoLight::default());
         let directions = fibonacci_sphere(how.directions);
         let probes = Probes::measure(&source, directions, ProbeSettings::of(source.options));
         let (outward, arriving) = (outward_normals(&source), arriving(&source, &operators.split().lights));

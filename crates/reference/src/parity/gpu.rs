@@ -11,7 +11,7 @@ use relume_engine::gpu::raster::SplatRecord;
 use relume_engine::gpu::shading::{Images, Shading};
 use relume_engine::gpu::update::{STATUS_WORDS, StepInput, UpdateSums, Updater, UpstreamGradients};
 use relume_engine::gpu::{AttributeSource, Buffer, CameraUniform, Gpu, Raster};
-use relume_engine::{DeviceError, LightWeights, ParameterWeights, RasterCamera};
+use relume_engine::{DeviceError, LightWeights, ParameterWeights, RasterCamera, TurnedLight};
 use relume_layout::channel::Channels;
 use relume_layout::constants::EarlyStop;
 use relume_scene::{Field, IndirectForm};
@@ -98,7 +98,13 @@ pub fn gpu_result(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, Devi
     recorder.clear(&parity_buffers.globals);
     recorder.clear(&parity_buffers.status);
     recorder.clear(&parity_buffers.density);
-    light.apply(&mut recorder, &model, 0.0, &LightWeights::default(), &parity_buffers.losses);
+    light.apply(
+        &mut recorder,
+        &model,
+        TurnedLight::default(),
+        &LightWeights::default(),
+        &parity_buffers.losses,
+    );
     let frame = pass.forward(&mut recorder, projected)?;
     pass.images(&mut recorder, &frame, &parity_buffers.images)?;
     let gbuffer = frame.gbuffer().clone();
@@ -120,7 +126,14 @@ pub fn gpu_result(gpu: &Gpu, case: &ParityCase<'_>) -> Result<ParityResult, Devi
     let input = StepInput { model: &model, upstream, sums, weights: ParameterWeights::default() };
     Updater::new(gpu)?.gradients(&mut recorder, &input, &parity_buffers.out);
     let (weights, indirect) = (LightWeights::default(), IndirectForm::Off);
-    light.backward(&mut recorder, &model, 0.0, &weights, indirect, &parity_buffers.globals);
+    light.backward(
+        &mut recorder,
+        &model,
+        TurnedLight::default(),
+        &weights,
+        indirect,
+        &parity_buffers.globals,
+    );
     recorder.submit()?;
     read(gpu, case, &model, &parity_buffers, upstream.splats, &gbuffer)
 }

@@ -3,8 +3,8 @@
 use glam::DVec3;
 use relume_compare::relative_error;
 use relume_engine::{
-    Branches, ImageWeights, LightRotation, LightWeights, ParameterWeights, Photo, PhotoId, PhotoSize, Step,
-    StepCounts, StepSizes, StepWeights, SurfaceWeights, TrainState, cpu,
+    Branches, ImageWeights, LightWeights, ParameterWeights, Photo, PhotoId, PhotoLight, PhotoSize, Step,
+    StepCounts, StepSizes, StepWeights, SurfaceWeights, TrainState, TurnedLight, cpu,
 };
 use relume_reference::{
     Array, Arrays, LIGHT_COLOUR_TOLERANCE, Options, ReferenceModel, TableOperators, Tape, Target, forward,
@@ -160,13 +160,36 @@ fn trainer_objective_and_gradient_match_the_reference() {
     assert!(control.is_finite() && control > 0.1, "{control}");
 }
 
+fn turned_light(radians: f64) -> PhotoLight {
+    PhotoLight { light: TurnedLight { group: 0, radians }, block: 0 }
+}
+
+#[test]
+fn light_of_a_group_is_its_environment_alone() {
+    let (alone, (photo, probes)) = (wall(), photograph(&facing_the_wall(), 3));
+    let mut groups = alone.clone();
+    let first: Vec<[f32; 3]> = alone.env_raw.iter().map(|raw| raw.map(|v| 0.5 - v)).collect();
+    groups.env_raw = [first, alone.env_raw.clone()].concat();
+    let of_group = |group| {
+        let light = PhotoLight { light: TurnedLight { group, radians: 0.0 }, block: 0 };
+        outcome(&groups, &Photo { light, ..photo.clone() }, &probes)
+    };
+    let (found, expected, other) = (of_group(1), outcome(&alone, &photo, &probes), of_group(0));
+    assert_eq!(found.loss, expected.loss);
+    assert_eq!(found.gradients.rows, expected.gradients.rows);
+    let (of_first, of_second) = found.gradients.env_raw.split_at(alone.env_raw.len());
+    assert_eq!(of_second, expected.gradients.env_raw);
+    assert!(of_first.iter().all(|v| *v == [0.0; 3]), "the other group has no gradient");
+    assert!((other.loss - expected.loss).abs() > 1e-4, "the control: {} {}", other.loss, expected.loss);
+}
+
 #[test]
 fn rotated_photograph_light_equals_a_rotated_environment() {
     let wall = wall();
     let (photo, probes) = photograph(&facing_the_wall(), 3);
     let columns = 5;
     let radians = std::f64::consts::TAU * columns as f64 / 32.0;
-    let turned = Photo { light: LightRotation { radians, block: 0 }, ..photo.clone() };
+    let turned = Photo { light: turned_light(radians), ..photo.clone() };
     let found = outcome(&wall, &turned, &probes);
     let mut rolled = wall.clone();
     rolled.env_raw.chunks_exact_mut(32).for_each(|row| row.rotate_left(columns));
@@ -189,7 +212,7 @@ fn rotated_photograph_light_equals_a_rotated_environment() {
 fn gradient_under_fractional_column_rotation_is_correct() {
     let wall = wall();
     let (photo, probes) = photograph(&facing_the_wall(), 3);
-    let photo = Photo { light: LightRotation { radians: 2.1, block: 0 }, ..photo };
+    let photo = Photo { light: turned_light(2.1), ..photo };
     let found = outcome(&wall, &photo, &probes).gradients.env_raw;
     // Along the gradient itself, so that the difference exceeds rounding.
     let length = found.as_flattened().iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
@@ -202,7 +225,7 @@ fn gradient_under_fractional_column_rotation_is_correct() {
     };
     let slope = (at(0.5) - at(-0.5)) / 1.0;
     assert!((slope / length - 1.0).abs() < 0.05, "{slope} {length}");
-    let still = outcome(&wall, &Photo { light: LightRotation::default(), ..photo.clone() }, &probes);
+    let still = outcome(&wall, &Photo { light: PhotoLight::default(), ..photo.clone() }, &probes);
     let along = still.gradients.env_raw.as_flattened().iter().zip(found.as_flattened());
     let wrong = along.map(|(a, b)| f64::from(a * b)).sum::<f64>() / length;
     assert!(

@@ -7,6 +7,7 @@ mod error;
 mod grey_card;
 mod group;
 mod known_light;
+mod light_groups;
 mod method;
 mod reference;
 #[cfg(test)]
@@ -29,6 +30,7 @@ pub use curve::CURVE;
 pub use error::ConfigError;
 pub use grey_card::GreyCard;
 pub use known_light::{Auto, KnownLight, LightExposure, MAX_STOPS};
+pub use light_groups::{LIGHT_GROUP_NAME, is_light_group_name};
 pub use method::Method;
 pub use reference::{Setting, settings};
 pub use shading::ShadingChanges;
@@ -87,6 +89,10 @@ macro_rules! settings {
             /// capture apply.
             #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
             pub light_rotation_per_photo: BTreeMap<String, f64>,
+            /// Light groups that a caller gives: a pattern of file names by the name of the group. Without them, those of the
+            /// capture apply.
+            #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+            pub light_groups: BTreeMap<String, String>,
             /// Rectangle of a photograph that shows a grey card. Its colour becomes `white_balance` at the
             /// start of a training.
             #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -114,6 +120,11 @@ macro_rules! settings {
             /// name is the path of a photograph in the capture or the end of that path. A name that matches
             /// no photograph or several photographs is an error.
             pub light_rotation_per_photo: Option<BTreeMap<String, f64>>,
+            /// Photographs that share a light, for captures under several lights (day and evening, without and with flash): for each
+            /// name of a group, the pattern of the file names of its photographs. `*` stands for any characters, `?` for one. Photographs
+            /// that match no pattern are a further group. Each group has a light of its own; materials and shape are common. A pattern
+            /// that matches no photograph is an error, and so is a photograph that two patterns match.
+            pub light_groups: Option<BTreeMap<String, String>>,
             /// Rectangle of a photograph that shows a white or grey surface which receives all of the light.
             /// Its mean linear colour replaces `white_balance`; the two must not be combined. A channel that
             /// is clipped (mean above 0.98) or too dark (mean below 0.01) is an error.
@@ -152,9 +163,9 @@ macro_rules! settings {
         impl TrainConfig {
             fn standard() -> Self {
                 let (preset, forced, light) = (Preset::Standard, Vec::new(), None);
-                let (light_rotation_per_photo, grey_card) = (BTreeMap::new(), None);
+                let (light_rotation_per_photo, light_groups, grey_card) = (BTreeMap::new(), BTreeMap::new(), None);
                 let (time_budget_s, until) = (None, None);
-                Self { preset, $($name: $standard,)+ $($group: Default::default(),)+ forced, light, light_rotation_per_photo, grey_card, time_budget_s, until }
+                Self { preset, $($name: $standard,)+ $($group: Default::default(),)+ forced, light, light_rotation_per_photo, light_groups, grey_card, time_budget_s, until }
             }
 
             /// Applies the settings of `overrides`, except the light.
@@ -384,6 +395,7 @@ impl TrainConfig {
         config.forced.sort_unstable();
         config.forced.dedup();
         config.light_rotation_per_photo = overrides.light_rotation_per_photo.clone().unwrap_or_default();
+        config.light_groups = overrides.light_groups.clone().unwrap_or_default();
         config.grey_card = overrides.grey_card.clone();
         if config.grey_card.is_some() && overrides.white_balance.is_some() {
             return Err(ConfigError::new("grey_card", "must not be combined with white_balance"));
@@ -432,6 +444,11 @@ impl TrainConfig {
         self.white_balance.check()?;
         self.crop.check(self.warm_up)?;
         self.grey_card.iter().try_for_each(GreyCard::check)?;
+        light_groups::check(&self.light_groups)?;
+        if self.light.is_some() && !self.light_groups.is_empty() {
+            let reason = "must not be combined with light, which is one known light of all photographs";
+            return Err(ConfigError::new("light_groups", reason));
+        }
         if let Some((name, _)) = self.light_rotation_per_photo.iter().find(|(_, turn)| !turn.is_finite()) {
             return Err(ConfigError::new(format!("light_rotation_per_photo.{name}"), "must be finite"));
         }

@@ -116,8 +116,8 @@ fn decide_indirect(
         return is_gathered;
     }
     let whole = context.step.operators.with_lights(&LightSplit::default());
-    let tables = evaluation::mean_tables(state, &whole, context.step.rotations);
-    let gathered = evaluation::mean_gathered(state, context.step.rotations);
+    let tables = evaluation::mean_tables(state, &whole, context.step.lights);
+    let gathered = evaluation::mean_gathered(state, context.step.lights);
     let field = state.model.gaussians.field(Field::Visibility);
     let normals = evaluation::normals(state);
     let share = evidence::indirect_share(&gathered, field, &normals, &tables, &photo_evidence.weights);

@@ -115,7 +115,7 @@ fn convex(share: f32) -> TrainState {
         g.row_mut(Field::LogScale, i).copy_from_slice(&[0.0, 0.0, -3.0]);
         g.row_mut(Field::Radiance, i)[3..].fill(0.0);
     }
-    let direct = state.model.environment().texels()[0][0] * std::f32::consts::PI;
+    let direct = state.model.environment(0).texels()[0][0] * std::f32::consts::PI;
     state.gathered = vec![[share * direct; 6]; 5];
     state
 }
@@ -128,7 +128,7 @@ fn in_context(overrides: &TrainOverrides, photos: &Dataset, act: impl FnOnce(&De
     let step = StepContext {
         config: &config,
         operators: &operators,
-        rotations: &relume_engine::LightRotations::default(),
+        lights: &relume_engine::PhotoLights::default(),
         background: [1.0; 3],
         has_alpha: true,
     };

@@ -9,9 +9,10 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::light_groups::{self, RelativeLight};
 use cache::PhotoCache;
 use relume_capture::{Capture, CaptureView, MeasuredCard};
-use relume_engine::{LightRotation, LightRotations, Photo, PhotoSize};
+use relume_engine::{Photo, PhotoLight, PhotoLights, PhotoSize};
 use relume_scene::{Camera, DisplayRange};
 use relume_spec::training::TrainConfig;
 use stored_photo::StoredPhoto;
@@ -39,8 +40,12 @@ pub struct Dataset {
     pub offset: glam::DVec3,
     /// Background over which the photographs are composited.
     pub background: [f32; 3],
-    /// Rotations of the photographs' light.
-    pub rotations: LightRotations,
+    /// Lights of the photographs.
+    pub lights: PhotoLights,
+    /// Names of the light groups.
+    pub light_groups: Vec<String>,
+    /// Light of each light group relative to the mean light; its photographs are divided by the level.
+    pub relative_lights: Vec<RelativeLight>,
     /// True when the photographs have masks.
     pub has_alpha: bool,
     /// Names of the photographs.
@@ -61,9 +66,11 @@ impl Dataset {
         // Photographs without masks have no visible background.
         let background = if has_alpha { WHITE } else { [0.0; 3] };
         let degrees = |view: &CaptureView| if config.light_rotations { view.light_rotation_deg } else { 0.0 };
-        let (rotations, lights) = LightRotations::of(&capture.train.iter().map(degrees).collect::<Vec<_>>());
+        let (light_groups, group_of) = light_groups::groups(&capture.train);
+        let stated = group_of.into_iter().zip(capture.train.iter().map(degrees));
+        let (lights, light_of) = PhotoLights::of(&stated.collect::<Vec<_>>());
         let range = capture.train.iter().map(|view| view.image.range()).max().unwrap_or_default();
-        let photo = |(view, light): (&CaptureView, &LightRotation)| {
+        let photo = |(view, light): (&CaptureView, &PhotoLight)| {
             let sizes = [2, 1].map(|divisor| reduced_size(view, config.resolution, divisor));
             let camera =
                 |(width, height)| view.camera.resized(width, height).in_normalised_world(scale, offset);
@@ -71,11 +78,31 @@ impl Dataset {
             let (cameras, light, mask, gains) = (sizes.map(camera), *light, None, Vec::new());
             Arc::new(StoredPhoto { image, cameras, light, mask, gains, background, has_alpha, range })
         };
-        let photos: Vec<_> = capture.train.par_iter().zip(&lights).map(photo).collect();
+        let photos: Vec<_> = capture.train.par_iter().zip(&light_of).map(photo).collect();
         let names = capture.train.iter().map(|view| view.name.clone()).collect();
         let cache = PhotoCache::new(cache_bytes(photos.iter().map(|p| p.decoded_bytes(PhotoSize::Full))));
         let card = capture.grey_card;
-        Self { photos, cache, scale, offset, background, rotations, has_alpha, names, range, card }
+        let mut data = Self {
+            photos,
+            cache,
+            scale,
+            offset,
+            background,
+            lights,
+            light_groups,
+            relative_lights: Vec::new(),
+            has_alpha,
+            names,
+            range,
+            card,
+        };
+        data.relative_lights = light_groups::relative_lights(&data);
+        if data.relative_lights.len() > 1 {
+            let level = |of: &PhotoLight| [data.relative_lights[of.light.group].level; 3];
+            let levels: Vec<Gain> = light_of.iter().map(level).collect();
+            data.divide(&levels);
+        }
+        data
     }
 
     /// Opaque photographs with the pixels of a test, at 16 bits.
@@ -98,7 +125,9 @@ impl Dataset {
             scale: 1.0,
             offset: glam::DVec3::ZERO,
             background: WHITE,
-            rotations: LightRotations::default(),
+            lights: PhotoLights::default(),
+            light_groups: vec![light_groups::DEFAULT_GROUP.to_owned()],
+            relative_lights: vec![RelativeLight::default()],
             has_alpha: false,
             names: Vec::new(),
             range: DisplayRange::Unit,

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::dataset::gain::{Gain, divide};
-use relume_engine::{LightRotation, Photo, PhotoSize};
+use relume_engine::{Photo, PhotoLight, PhotoSize};
 use relume_scene::{Camera, DisplayRange, ImageRgba, PackedImage};
 
 /// A photograph at the configured resolution: its integer pixels, and the operations that are applied when it is
@@ -15,7 +15,7 @@ pub struct StoredPhoto {
     /// Cameras at half and at the full configured resolution, normalised world.
     pub cameras: [Camera; 2],
     /// Rotation of the light.
-    pub light: LightRotation,
+    pub light: PhotoLight,
     /// Mask of a cropped subject, levels of 1/255, row-major; it replaces the image's own alpha.
     pub mask: Option<Arc<[u8]>>,
     /// Gains by which the photograph is divided, in order.
@@ -114,7 +114,7 @@ mod tests {
         StoredPhoto {
             image: PackedImage::new(image, BitDepth::Eight),
             cameras: [camera.resized(4, 3), camera],
-            light: LightRotation::default(),
+            light: PhotoLight::default(),
             mask: None,
             gains: Vec::new(),
             background,

@@ -88,6 +88,7 @@ mod tests {
             camera: Camera::look_at(eye, target, DVec3::Z, 0.7, (2, 2)).unwrap(),
             image: PackedImage::new(&image, BitDepth::Eight),
             light_rotation_deg: 0.0,
+            light_group: None,
             truth: Default::default(),
         }
     }

@@ -33,7 +33,7 @@ const LAYERS: [Output; 8] = [
     Output::Depth,
 ];
 
-/// The recovered light of a model, rotated as in `view`.
+/// The recovered light of a model for the light group of `view`, rotated as in `view`. A view of an unknown group has the first light.
 ///
 /// # Errors
 /// The device failed.
@@ -42,7 +42,8 @@ pub(crate) fn light_of<'a>(
     view: &CaptureView,
     light: &'a mut RotatedLight,
 ) -> Result<&'a PreparedLight, DeviceError> {
-    light.at(renderer, &renderer.model().recovered_light(), view.light_rotation_deg)
+    let group = renderer.model().light_group(view.light_group.as_deref().unwrap_or_default());
+    light.recovered(renderer, group.unwrap_or(0), view.light_rotation_deg)
 }
 
 impl ViewLayers {

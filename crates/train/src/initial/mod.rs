@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::dataset::Dataset;
 use crate::known_light::applied;
+use crate::light_groups::RelativeLight;
 use crate::{lights, materials};
 use relume_capture::Capture;
 use relume_engine::{Photo, PhotoSize, upward_share};
@@ -60,7 +61,7 @@ pub fn model(capture: &Capture, data: &Dataset, config: &TrainConfig, rng: &mut 
     Model {
         gaussians,
         prototypes: vec![[0.5; 3]; config.prototypes as usize],
-        env_raw: first_light(capture, config),
+        env_raw: first_light(capture, config).repeat(data.lights.groups()),
         env_width: rows * 2,
         env_height: rows,
         lights: known_lights(capture, data, config),
@@ -78,9 +79,12 @@ pub fn framing(capture: &Capture) -> Option<Framing> {
     if capture.has_alpha { None } else { relume_capture::framing(&cameras) }
 }
 
-/// Sets the environment to a uniform light of this colour.
-pub fn light_of_colour(model: &mut Model, colour: LightColour) {
-    model.env_raw.fill(colour.rgb().map(|c| softplus_inverse(FIRST_LIGHT * c)));
+/// Sets the environment of each light group to a uniform light, given the colour of the mean light.
+pub fn light_of_colour(model: &mut Model, mean: LightColour, groups: &[RelativeLight]) {
+    let texels = model.env_texels();
+    for (environment, group) in model.env_raw.chunks_mut(texels.max(1)).zip(groups) {
+        environment.fill(group.colour_of(mean).rgb().map(|c| softplus_inverse(FIRST_LIGHT * c)));
+    }
 }
 
 /// Colour of the light that the environment sends to a surface that faces up.
@@ -108,7 +112,7 @@ fn known_lights(capture: &Capture, data: &Dataset, config: &TrainConfig) -> Ligh
     let (Some(map), Some(light)) = (&capture.measured_light, &config.light) else {
         return LightSplit::default();
     };
-    if config.lights == 0 || !config.shading.shades_lights() || !data.rotations.is_static() {
+    if config.lights == 0 || !config.shading.shades_lights() || !data.lights.is_static() {
         return LightSplit::default();
     }
     let rows = config.environment_rows as usize;
@@ -237,7 +241,7 @@ fn nearest_neighbour_distance(seeds: &[Seed]) -> Vec<f32> {
 mod tests {
     use super::*;
     use glam::DVec3;
-    use relume_engine::LightRotation;
+    use relume_engine::PhotoLight;
     use relume_scene::DisplayRange;
 
     /// Height of a point above the wall of [`painted_plane`].
@@ -259,7 +263,7 @@ mod tests {
                 [value as f32; 3]
             };
             let pixels: Vec<_> = (0..size * size).map(pixel).collect();
-            let (light, range) = (LightRotation::default(), DisplayRange::Unit);
+            let (light, range) = (PhotoLight::default(), DisplayRange::Unit);
             Photo { camera, pixels, alpha: Vec::new(), light, range }
         };
         (0..8).map(from).collect()

@@ -1,4 +1,4 @@
-//! The prepared light of frames whose light rotates.
+//! A light that rotates between frames, as on a turntable.
 
 use crate::render::{PreparedLight, Renderer};
 use relume_engine::DeviceError;
@@ -7,8 +7,8 @@ use relume_scene::Illumination;
 /// One light, prepared at the rotation of the last frame.
 #[derive(Default)]
 pub struct RotatedLight {
-    /// Degrees, and the light rotated by them.
-    prepared: Option<(f64, PreparedLight)>,
+    /// Light group and degrees, and the light rotated by them.
+    prepared: Option<((usize, f64), PreparedLight)>,
 }
 
 impl RotatedLight {
@@ -23,12 +23,33 @@ impl RotatedLight {
         light: &Illumination,
         degrees: f64,
     ) -> Result<&PreparedLight, DeviceError> {
-        let (_, prepared) = match self.prepared.take().filter(|(before, _)| *before == degrees) {
+        self.prepared(renderer, (0, degrees), || light.rotated_and_scaled(degrees, 1.0))
+    }
+
+    /// The recovered light of light group `group`, rotated by `degrees` about +Z; prepared again only if either differs from that of the
+    /// previous call. `renderer` must be that of the previous call.
+    ///
+    /// # Errors
+    /// The device failed.
+    pub fn recovered(
+        &mut self,
+        renderer: &Renderer,
+        group: usize,
+        degrees: f64,
+    ) -> Result<&PreparedLight, DeviceError> {
+        let light = || renderer.model().recovered_light_of(group).rotated_and_scaled(degrees, 1.0);
+        self.prepared(renderer, (group, degrees), light)
+    }
+
+    fn prepared(
+        &mut self,
+        renderer: &Renderer,
+        key: (usize, f64),
+        light: impl FnOnce() -> Illumination,
+    ) -> Result<&PreparedLight, DeviceError> {
+        let (_, prepared) = match self.prepared.take().filter(|(before, _)| *before == key) {
             Some(same) => self.prepared.insert(same),
-            None => {
-                let rotated = light.rotated_and_scaled(degrees, 1.0);
-                self.prepared.insert((degrees, renderer.prepare_light(rotated)?))
-            }
+            None => self.prepared.insert((key, renderer.prepare_light(light())?)),
         };
         Ok(prepared)
     }

@@ -97,7 +97,7 @@ pub fn encode_splat_file(
         SplatFile::Glb => gltf::encode_splats(&splats)?,
         SplatFile::Usda => usd::encode_splats(&splats).into_bytes(),
         SplatFile::Usdz => usd::encode_splats_package(&splats)?,
-        SplatFile::Hdr => environment::encode_hdr(&model.environment())?,
+        SplatFile::Hdr => environment::encode_hdr(&model.environment(0))?,
     })
 }
 

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::crop;
 use crate::dataset::Dataset;
 use crate::lights;
-use relume_engine::{PhotoSize, TrainState, evaluation};
+use relume_engine::{PhotoLights, PhotoSize, TrainState, evaluation};
 use relume_scene::{Camera, DisplayRange, Field, softplus_inverse};
 use relume_spec::training::TrainConfig;
 use sources::Source;
@@ -57,7 +57,7 @@ impl SurroundingLight {
     pub fn of(config: &TrainConfig, state: &TrainState, data: &Dataset) -> Option<Self> {
         let is_wanted =
             config.surrounding_light && config.light.is_none() && state.model.shading.shades_lights();
-        if !is_wanted || data.has_alpha || !data.rotations.is_static() {
+        if !is_wanted || data.has_alpha || data.lights != PhotoLights::default() {
             return None;
         }
         let reach = f64::from(state.model.shading.occluder_reach?);

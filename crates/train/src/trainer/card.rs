@@ -6,7 +6,7 @@ use crate::calibration::calibrate;
 use crate::dataset::Gain;
 use crate::time_budget::plan_card;
 use crate::trainer::Trainer;
-use crate::{TrainError, exposure, sampling_rate};
+use crate::{TrainError, exposure, light_groups, sampling_rate};
 use relume_engine::{Device, PhotoSize};
 use relume_scene::light::LightColour;
 use relume_scene::{Model, SplitLight};
@@ -19,6 +19,7 @@ impl Trainer {
     pub fn model(&mut self) -> Result<Model, TrainError> {
         self.wait_for_finite_state()?;
         let mut model = self.engine.state()?.model.clone();
+        light_groups::restore_levels(&mut model, &self.data.relative_lights);
         sampling_rate::measure(&mut model.gaussians, &self.data.cameras(PhotoSize::Full));
         model.card = serde_json::json!({
             "relume_version": env!("CARGO_PKG_VERSION"),
@@ -63,12 +64,16 @@ impl Trainer {
             })
         };
         let lights: Vec<_> = model.lights.lights.iter().enumerate().map(of).collect();
-        serde_json::json!({
+        let mut card = serde_json::json!({
             "colour": self.schedule.light_colour.map(LightColour::rgb),
             "colour_from": self.config.colour_source(),
             "lights": lights,
             "surroundings": self.schedule.surroundings.as_ref().map(|surroundings| surroundings.card()),
-        })
+        });
+        if self.data.light_groups.len() > 1 {
+            card["groups"] = serde_json::json!(self.data.light_groups);
+        }
+        card
     }
 
     /// The region of the crop, in units and axes of the capture; null without a crop.

@@ -6,7 +6,7 @@ use crate::error::TrainError;
 use crate::surroundings::SurroundingLight;
 use crate::trainer::Trainer;
 use crate::trainer::preparation::operators_of;
-use crate::{complexity, exposure, initial, light_colour, lights, materials, schedule};
+use crate::{complexity, exposure, initial, light_colour, light_groups, lights, materials, schedule};
 use relume_engine::{PhotoSize, TrainState, evaluation};
 use relume_scene::{MAX_LIGHTS, SplitLight};
 
@@ -97,7 +97,7 @@ impl Trainer {
         } else {
             let colour =
                 known.unwrap_or_else(|| light_colour::estimate(&state.model.gaussians, self.data.range));
-            initial::light_of_colour(&mut state.model, colour);
+            initial::light_of_colour(&mut state.model, colour, &self.data.relative_lights);
             colour
         };
         self.schedule.light_colour = Some(colour);
@@ -129,7 +129,7 @@ impl Trainer {
     fn match_exposures(&mut self) -> Result<(), TrainError> {
         let _span = tracing::info_span!("match_exposures").entered();
         let state = self.engine.state()?;
-        if !self.data.rotations.is_static() || state.model.check().is_err() {
+        if !self.data.lights.is_static() || state.model.check().is_err() {
             return Ok(());
         }
         let gains = exposure::gains(&state, &self.context(), &self.data);
@@ -148,7 +148,7 @@ impl Trainer {
     fn find_lights(&mut self) -> Result<(), TrainError> {
         let _span = tracing::info_span!("find_lights").entered();
         let most = self.config.lights as usize;
-        if most == 0 || self.config.light.is_some() || !self.data.rotations.is_static() {
+        if most == 0 || self.config.light.is_some() || !self.data.lights.is_static() {
             return Ok(());
         }
         self.refresh_surroundings()?;
@@ -176,7 +176,10 @@ impl Trainer {
         // The texels of a light that is dropped stay unchanged.
         if now.len() > before.len() {
             let split = lights::split(&now, state.model.env_width, state.model.env_height);
-            lights::start(&mut state.model, &split, &found);
+            let shares = self.data.lights.group_shares();
+            light_groups::change_mean_light(&mut state, &shares, |state| {
+                lights::start(&mut state.model, &split, &found);
+            });
             surroundings.iter().for_each(|surroundings| surroundings.hold(&mut state));
         }
         if now.len() > before.len() || surroundings.is_some() {
@@ -189,7 +192,7 @@ impl Trainer {
     /// known better.
     fn restart_environment(&mut self) -> Result<(), TrainError> {
         let is_unknown = self.config.light.is_none() && self.schedule.surroundings.is_none();
-        if !(self.config.environment_restarts && is_unknown && self.data.rotations.is_static()) {
+        if !(self.config.environment_restarts && is_unknown && self.data.lights.is_static()) {
             return Ok(());
         }
         let _span = tracing::info_span!("restart_environment").entered();
@@ -200,12 +203,24 @@ impl Trainer {
         }
         let seen = lights::seen(&state, &self.data.cameras(PhotoSize::Half));
         let split = state.model.lights.clone();
-        let how = schedule::measurement(&self.config, &self.data.rotations, 1);
+        let how = schedule::measurement(&self.config, &self.data.lights, 1);
         let gathered = match state.model.shading.has_sky_shadows() {
-            true => evaluation::gathered_from_surfaces(&state, &self.operators, how.directions, how.bounces),
-            false => state.gathered_in(0).to_vec(),
+            true => {
+                let lights = &self.data.lights;
+                evaluation::gathered_from_surfaces(
+                    &state,
+                    &self.operators,
+                    lights,
+                    how.directions,
+                    how.bounces,
+                )
+            }
+            false => evaluation::mean_gathered(&state, &self.data.lights),
         };
-        lights::solve_environment(&mut state, &gathered, &seen, self.data.range, &split);
+        let range = self.data.range;
+        light_groups::change_mean_light(&mut state, &self.data.lights.group_shares(), |state| {
+            lights::solve_environment(state, &gathered, &seen, range, &split);
+        });
         Ok(self.engine.load(state)?)
     }
 
@@ -231,8 +246,8 @@ impl Trainer {
         }
         let mut state = state.into_owned();
         let normals = evaluation::normals(&state);
-        let (rotations, range) = (&self.data.rotations, self.data.range);
-        materials::restart_albedo(&mut state, &self.operators, rotations, &normals, range);
+        let (lights, range) = (&self.data.lights, self.data.range);
+        materials::restart_albedo(&mut state, &self.operators, lights, &normals, range);
         if self.is_dielectric() {
             complexity::hold_dielectric(&mut state);
         }
@@ -242,7 +257,7 @@ impl Trainer {
     /// Measures visibility and gathered light, `repeats` times in succession.
     pub(super) fn measure(&mut self, repeats: usize) -> Result<(), TrainError> {
         let _span = tracing::info_span!("measure", repeats).entered();
-        Ok(self.engine.measure(&schedule::measurement(&self.config, &self.data.rotations, repeats))?)
+        Ok(self.engine.measure(&schedule::measurement(&self.config, &self.data.lights, repeats))?)
     }
 
     fn is_decision_due(&self) -> bool {

@@ -124,7 +124,7 @@ impl Trainer {
         StepContext {
             config: &self.config,
             operators: &self.operators,
-            rotations: &self.data.rotations,
+            lights: &self.data.lights,
             background: self.data.background,
             has_alpha: self.data.has_alpha,
         }
@@ -155,10 +155,11 @@ impl Trainer {
         if self.is_dielectric() {
             sizes.fields[Field::MetalLogit as usize] = 0.0;
         }
-        let light = self.schedule.light_colour.unwrap_or(LightColour::NEUTRAL);
+        let relative = &self.data.relative_lights[photo.light.light.group];
+        let light = relative.colour_of(self.schedule.light_colour.unwrap_or(LightColour::NEUTRAL));
         let mut weights =
             schedule::step_weights(&self.config, branches, progress, self.data.has_alpha, light);
-        if self.data.rotations.has_rotations() {
+        if self.data.lights.has_rotations() {
             weights.light = schedule::rotating_light_weights(weights.light);
         }
         if let Some(surroundings) = &self.schedule.surroundings {

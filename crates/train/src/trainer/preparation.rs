@@ -56,11 +56,12 @@ impl PreparedTraining {
                 "order: the checkpoint has another number of photographs".into(),
             ));
         }
-        let gathered = state.model.gaussians.len() * data.rotations.blocks.len();
-        if !state.gathered.is_empty() && state.gathered.len() != gathered {
+        let gathered = state.model.gaussians.len() * data.lights.blocks.len();
+        let is_of_these_lights = state.gathered.is_empty() || state.gathered.len() == gathered;
+        if !is_of_these_lights || state.model.light_groups() != data.lights.groups() {
             return Err(TrainError::Checkpoint(
-                "gathered: the checkpoint has another number of light rotations than the capture: set turntable_capture and \
-                 the rotations as in its training, or start again without the checkpoint"
+                "gathered: the checkpoint has another number of light rotations or light groups than the capture: set turntable_capture, \
+                 the rotations and the groups as in its training, or start again without the checkpoint"
                     .into(),
             ));
         }
@@ -111,6 +112,16 @@ fn prepare(capture: &Capture, config: &mut TrainConfig) -> Result<Dataset, Train
     if !capture.has_light_rotations(&config.light_rotation_per_photo) {
         let reason = "the photographs do not have these rotations of the light";
         return Err(TrainError::Invalid(format!("light_rotation_per_photo: {reason}")));
+    }
+    if !capture.has_light_groups(&config.light_groups) {
+        let reason = "the photographs do not have these light groups";
+        return Err(TrainError::Invalid(format!("light_groups: {reason}")));
+    }
+    if config.light.is_some()
+        && capture.train.iter().any(|view| view.light_group != capture.train[0].light_group)
+    {
+        let reason = "is one light of all photographs, but the capture states several light groups";
+        return Err(TrainError::Invalid(format!("light: {reason}")));
     }
     if config.crop != Crop::NONE && capture.has_alpha {
         return Err(TrainError::Invalid(

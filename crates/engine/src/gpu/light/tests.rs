@@ -5,7 +5,7 @@ use crate::gpu::light::{TablesUniform, TrainingLight};
 use crate::gpu::model::ModelBuffers;
 use crate::gpu::shaders::assert_layout;
 use crate::gpu::{Buffer, Gpu, shaders};
-use crate::{LightWeights, indirect_basis, indirect_basis_backward};
+use crate::{LightWeights, TurnedLight, indirect_basis, indirect_basis_backward};
 use relume_compare::{relative_error, worst};
 use relume_scene::light::{EnvOperators, LUMINANCE, LightColour, TableResolution, UPWARD_LUMINANCE};
 use relume_scene::{
@@ -23,12 +23,23 @@ const WEIGHTS: LightWeights = LightWeights {
 
 const TOLERANCE: f64 = WEIGHTS.tolerance as f64;
 
-/// Rotations: none, whole columns, and a fraction of a column.
-const TURNS: [f64; 3] = [0.0, std::f64::consts::FRAC_PI_2, 2.1];
+/// Light groups of the model.
+const GROUPS: usize = 2;
+/// Texels of an environment.
+const TEXELS: usize = 128;
+
+/// Rotations: none, whole columns, and a fraction of a column. The last two lights are of another group.
+const LIGHTS: [TurnedLight; 4] = [
+    TurnedLight { group: 0, radians: 0.0 },
+    TurnedLight { group: 0, radians: std::f64::consts::FRAC_PI_2 },
+    TurnedLight { group: 1, radians: 0.0 },
+    TurnedLight { group: 1, radians: 2.1 },
+];
 
 fn model() -> Model {
-    let env_raw: Vec<[f32; 3]> =
-        (0..128).map(|i| std::array::from_fn(|c| ((i * 7 + c * 3) % 11) as f32 * 0.3 - 1.2)).collect();
+    let env_raw: Vec<[f32; 3]> = (0..GROUPS * TEXELS)
+        .map(|i| std::array::from_fn(|c| ((i * 7 + c * 3) % 11) as f32 * 0.3 - 1.2))
+        .collect();
     Model::new(Gaussians::zeroed(3, 2, 2, 0), vec![[0.5; 3]; 2], env_raw, (16, 8))
 }
 
@@ -39,8 +50,8 @@ struct Run {
     losses: Buffer<f32>,
 }
 
-fn applied(gpu: &Gpu, model: &Model, turn: f64) -> Run {
-    let mut shares = vec![[0.0; MAX_LIGHTS]; 128];
+fn applied(gpu: &Gpu, model: &Model, turned: TurnedLight) -> Run {
+    let mut shares = vec![[0.0; MAX_LIGHTS]; TEXELS];
     (30..33).for_each(|t| shares[t] = [0.5, 0.25, 0.0, 0.0]);
     shares[5] = [0.0, 0.0, 0.9, 0.0];
     let light = SplitLight { direction: [0.0, 0.6, 0.8], radius: 0.1 };
@@ -51,13 +62,13 @@ fn applied(gpu: &Gpu, model: &Model, turn: f64) -> Run {
     let losses = gpu.buffer("losses", 16).unwrap();
     let mut recorder = gpu.record();
     recorder.clear(&losses);
-    light.apply(&mut recorder, &buffers, turn, &WEIGHTS, &losses);
+    light.apply(&mut recorder, &buffers, turned, &WEIGHTS, &losses);
     recorder.submit().unwrap();
     Run { operators, light, buffers, losses }
 }
 
-fn radiance(model: &Model) -> Vec<[f32; 3]> {
-    model.env_raw.iter().map(|t| t.map(softplus)).collect()
+fn radiance(model: &Model, group: usize) -> Vec<[f32; 3]> {
+    model.env_raw_of(group).iter().map(|t| t.map(softplus)).collect()
 }
 
 /// The terms on the light in f64: value, and gradient by radiance.
@@ -87,8 +98,8 @@ fn terms(radiance: &[[f32; 3]]) -> (f64, f64) {
 fn light_tables_and_basis_match_the_host() {
     let gpu = Gpu::for_tests();
     let model = model();
-    for turn in TURNS {
-        assert_tables_and_basis_match_the_host(&gpu, &model, turn);
+    for turned in LIGHTS {
+        assert_tables_and_basis_match_the_host(&gpu, &model, turned);
     }
     assert_layout!(TablesUniform as "Tables" in shaders::ENV_TABLES; diffuse_n, coefficients, n_coefficients,
         n_specular, specular_n, specular_first, n_lights, first_light, pad_a, pad_b, lights);
@@ -96,39 +107,43 @@ fn light_tables_and_basis_match_the_host() {
         exposure, colour, blue_over_red, green, tolerance, width, whole, fraction);
 }
 
-fn assert_tables_and_basis_match_the_host(gpu: &Gpu, model: &Model, turn: f64) {
-    let run = applied(gpu, model, turn);
+fn assert_tables_and_basis_match_the_host(gpu: &Gpu, model: &Model, turned: TurnedLight) {
+    let run = applied(gpu, model, turned);
+    let (turn, shown) = (turned.radians, radiance(model, turned.group));
     let host = |radiance: &[[f32; 3]], turn: f64| {
         run.operators.apply(&ColumnShift::new(turn, model.env_width).apply(radiance))
     };
-    let expected = host(&radiance(model), turn);
+    let expected = host(&shown, turn);
     let light = &run.light.light;
     let values = gpu.read(&light.values, 0..light.values.len()).unwrap();
     assert!(relative_error(&values, &expected.flat()) < 2e-6);
     let basis = gpu.read(&light.indirect_basis, 0..48).unwrap();
     assert!(relative_error(&basis, indirect_basis(&expected).as_flattened()) < 3e-6);
-    let mut other = radiance(model);
+    let mut other = shown.clone();
     other[5][1] += 0.05;
     let control = relative_error(&values, &host(&other, turn).flat());
     assert!(control > 1e-4, "the control: one texel shows");
-    let control = relative_error(&values, &host(&radiance(model), turn + 0.1).flat());
+    let control = relative_error(&values, &host(&shown, turn + 0.1).flat());
     assert!(control > 1e-2, "the control: a turn shows");
+    let control = relative_error(&values, &host(&radiance(model, 1 - turned.group), turn).flat());
+    assert!(control > 1e-2, "the control: the other group shows");
 }
 
 #[test]
 #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
 fn light_gradient_is_the_transposed_operator_plus_the_terms() {
     let gpu = Gpu::for_tests();
-    for turn in TURNS {
-        assert_light_gradient_is_transposed_operator_plus_terms(&gpu, turn);
+    for turned in LIGHTS {
+        assert_light_gradient_is_transposed_operator_plus_terms(&gpu, turned);
     }
 }
 
-fn assert_light_gradient_is_transposed_operator_plus_terms(gpu: &Gpu, turn: f64) {
+fn assert_light_gradient_is_transposed_operator_plus_terms(gpu: &Gpu, light: TurnedLight) {
     let model = model();
-    let run = applied(gpu, &model, turn);
+    let run = applied(gpu, &model, light);
+    let shown = radiance(&model, light.group);
     let losses = gpu.read(&run.losses, 0..16).unwrap();
-    let (neutral, exposure) = terms(&radiance(&model));
+    let (neutral, exposure) = terms(&shown);
     assert!((f64::from(losses[9]) - neutral).abs() < 1e-5 * neutral, "{} {neutral}", losses[9]);
     assert!((f64::from(losses[10]) - exposure).abs() < 1e-5 * exposure, "{} {exposure}", losses[10]);
     // An arbitrary gradient of the tables and of the basis.
@@ -146,29 +161,33 @@ fn assert_light_gradient_is_transposed_operator_plus_terms(gpu: &Gpu, turn: f64)
     gpu.write(&run.light.basis_gradient, 0, by_basis.as_flattened());
     let out: Buffer<f32> = gpu.buffer("gradient", run.buffers.globals.len()).unwrap();
     let mut recorder = gpu.record();
-    run.light.backward(&mut recorder, &run.buffers, turn, &WEIGHTS, IndirectForm::Learned, &out);
+    recorder.clear(&out);
+    run.light.backward(&mut recorder, &run.buffers, light, &WEIGHTS, IndirectForm::Learned, &out);
     recorder.submit().unwrap();
-    let found = gpu.read(&out, 6..out.len()).unwrap();
+    let written = gpu.read(&out, 6..out.len()).unwrap();
+    let (first, second) = written.split_at(3 * TEXELS);
+    let (found, other) = if light.group == 0 { (first, second) } else { (second, first) };
+    assert!(other.iter().all(|v| *v == 0.0), "the other group has no gradient");
     indirect_basis_backward(&by_basis, &mut by_tables);
-    let turned = ColumnShift::new(turn, model.env_width);
+    let turned = ColumnShift::new(light.radians, model.env_width);
     let mut expected = turned.apply_transposed(&run.operators.apply_transposed(&by_tables)).into_owned();
     // The terms by central differences of their f64 values.
     for t in 0..expected.len() {
         for c in 0..3 {
             let at = |step: f32| {
-                let mut moved = radiance(&model);
+                let mut moved = shown.clone();
                 moved[t][c] += step;
                 let (a, b) = terms(&moved);
                 a + b
             };
             expected[t][c] += ((at(1e-3) - at(-1e-3)) / 2e-3) as f32;
-            expected[t][c] /= 1.0 + (-model.env_raw[t][c]).exp();
+            expected[t][c] /= 1.0 + (-model.env_raw_of(light.group)[t][c]).exp();
         }
     }
-    let error = relative_error(&found, expected.as_flattened());
+    let error = relative_error(found, expected.as_flattened());
     assert!(error < 2e-3, "{error}");
     expected[0][0] += 0.01 * worst(expected.as_flattened().iter().map(|v| v.abs())) as f32;
-    let control = relative_error(&found, expected.as_flattened());
+    let control = relative_error(found, expected.as_flattened());
     assert!(
         control.is_finite() && control > 5e-3,
         "the control, one texel of the expected gradient changed: {control}"

@@ -6,7 +6,7 @@ use crate::gpu::light::tables::LightBuffers;
 use crate::gpu::model::ModelBuffers;
 use crate::gpu::{Buffer, Gpu, Groups, Recorder, shaders, uniform};
 use crate::indirect::INDIRECT_DIRECTIONS;
-use crate::{DeviceError, LightWeights, fibonacci_sphere};
+use crate::{DeviceError, LightWeights, TurnedLight, fibonacci_sphere};
 use relume_scene::light::{EnvOperators, LightTables, sh_eval};
 use relume_scene::{ColumnShift, IndirectForm, texel_directions};
 
@@ -85,12 +85,17 @@ impl TrainingLight {
         })
     }
 
-    fn environment(&self, model: &ModelBuffers, turn: f64, weights: &LightWeights) -> EnvironmentUniform {
+    fn environment(
+        &self,
+        model: &ModelBuffers,
+        turned: TurnedLight,
+        weights: &LightWeights,
+    ) -> EnvironmentUniform {
         let (width, height) = self.size;
-        let (whole, fraction) = ColumnShift::new(turn, width).columns();
+        let (whole, fraction) = ColumnShift::new(turned.radians, width).columns();
         EnvironmentUniform {
             n_texels: (width * height) as u32,
-            first_texel: 3 * model.n_prototypes as u32,
+            first_texel: 3 * (model.n_prototypes + turned.group * width * height) as u32,
             neutrality: weights.neutrality / (3 * width * height).max(1) as f32,
             exposure: weights.exposure,
             colour: weights.colour,
@@ -103,20 +108,19 @@ impl TrainingLight {
         }
     }
 
-    /// Computes the tables of the model's current environment, rotated about +Z by `turn` radians, and the terms on it. Clears
-    /// the gradients.
+    /// Computes the tables of `turned`, one of the model's current lights, and the terms on it. Clears the gradients.
     pub fn apply(
         &self,
         recorder: &mut Recorder<'_>,
         model: &ModelBuffers,
-        turn: f64,
+        turned: TurnedLight,
         weights: &LightWeights,
         losses: &Buffer<f32>,
     ) {
         recorder.stage("light");
         recorder.clear(&self.tables_gradient);
         recorder.clear(&self.basis_gradient);
-        let environment = uniform(&self.environment(model, turn, weights));
+        let environment = uniform(&self.environment(model, turned, weights));
         let (globals, upward) = ((&model.globals).into(), (&self.upward).into());
         let bindings = [
             environment,
@@ -147,13 +151,13 @@ impl TrainingLight {
         recorder.dispatch(&shaders::ENV_BASIS, Groups::Workgroups(1), &bindings);
     }
 
-    /// Writes the gradient of the raw environment, for the rotation of the last [`Self::apply`], into its part of
+    /// Writes the gradient of the raw environment, for the light of the last [`Self::apply`], into its part of
     /// `globals_gradient`. The basis has a gradient where `indirect` is `Learned`.
     pub fn backward(
         &self,
         recorder: &mut Recorder<'_>,
         model: &ModelBuffers,
-        turn: f64,
+        turned: TurnedLight,
         weights: &LightWeights,
         indirect: IndirectForm,
         globals_gradient: &Buffer<f32>,
@@ -171,7 +175,7 @@ impl TrainingLight {
         }
         let bindings = [
             uniform(&self.light.layout),
-            uniform(&self.environment(model, turn, weights)),
+            uniform(&self.environment(model, turned, weights)),
             (&model.globals).into(),
             (&self.radiance).into(),
             (&self.upward).into(),

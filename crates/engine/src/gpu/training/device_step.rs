@@ -1,7 +1,7 @@
 //! A training step in device memory.
 
 use crate::gpu::{CameraUniform, DevicePhoto, ReadbackTicket, Submission};
-use crate::light_rotation::LightRotation;
+use crate::photo_light::PhotoLight;
 use crate::{Branches, StepCounts, StepSizes, StepWeights};
 use relume_layout::channel::StepChannels;
 
@@ -10,7 +10,7 @@ use relume_layout::channel::StepChannels;
 pub(super) struct DeviceStep {
     pub(super) camera: CameraUniform,
     pub(super) photo: DevicePhoto,
-    pub(super) light: LightRotation,
+    pub(super) light: PhotoLight,
     pub(super) channels: StepChannels,
     pub(super) background: [f32; 3],
     pub(super) branches: Branches,

@@ -152,9 +152,9 @@ impl GpuTraining {
         if let Some(bounces) = bounces {
             let source = AttributeSource::new(model);
             self.state.measured.gathered.clear();
-            for turn in how.rotations {
+            for light in how.lights {
                 let mut recorder = gpu.record();
-                self.light.apply(&mut recorder, model, *turn, &LightWeights::default(), &self.losses);
+                self.light.apply(&mut recorder, model, *light, &LightWeights::default(), &self.losses);
                 let gathered =
                     gather(&mut recorder, &probes, &source, &self.light.light, bounces, lights.as_ref())?;
                 if self.shape.shading.has_sky_shadows() {

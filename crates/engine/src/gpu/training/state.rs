@@ -5,7 +5,7 @@ use crate::gpu::gather::GATHERED;
 use crate::gpu::light::TrainingLight;
 use crate::gpu::model::{ModelBuffers, planar};
 use crate::gpu::{AttributeSource, Buffer, Gpu};
-use crate::{DeviceError, LightRotation, Moments, TrainState};
+use crate::{DeviceError, Moments, PhotoLight, TrainState};
 use relume_scene::{IndirectForm, MAX_LIGHTS, Model};
 
 /// Measured data, which is not learned.
@@ -158,10 +158,10 @@ impl DeviceState {
         recorder.submit().map(drop)
     }
 
-    /// The model as input of frames, under the training's light with the rotation of a photograph.
-    pub(super) fn source(&self, light: &TrainingLight, turn: LightRotation) -> AttributeSource {
+    /// The model as input of frames, under the light of a photograph.
+    pub(super) fn source(&self, light: &TrainingLight, of_photo: PhotoLight) -> AttributeSource {
         AttributeSource {
-            gathered: self.measured.gathered.get(turn.block).cloned(),
+            gathered: self.measured.gathered.get(of_photo.block).cloned(),
             indirect_basis: Some(light.light.indirect_basis.clone()),
             ..AttributeSource::new(&self.model)
         }

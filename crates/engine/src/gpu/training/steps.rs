@@ -45,8 +45,8 @@ impl GpuTraining {
         let projected = self.raster.record(&mut recorder, &step.camera, &source)?;
         let list_status = projected.list_status().clone();
         if step.branches.is_physical() {
-            let (turn, weights) = (step.light.radians, &step.weights.light);
-            self.light.apply(&mut recorder, &self.state.model, turn, weights, &self.losses);
+            let (turned, weights) = (step.light.light, &step.weights.light);
+            self.light.apply(&mut recorder, &self.state.model, turned, weights, &self.losses);
         }
         let frame = pass.forward(&mut recorder, projected)?;
         pass.images(&mut recorder, &frame, &image_buffers.images)?;
@@ -154,8 +154,8 @@ impl Update<'_> {
         let input = StepInput { model, upstream, sums, weights };
         self.updater.step(recorder, &input, &step.sizes, step.counts);
         if physical {
-            let (turn, weights) = (step.light.radians, &step.weights.light);
-            self.light.backward(recorder, model, turn, weights, indirect, sums.globals_gradient);
+            let (turned, weights) = (step.light.light, &step.weights.light);
+            self.light.backward(recorder, model, turned, weights, indirect, sums.globals_gradient);
             self.updater.step_globals(recorder, model, &sums, &step.sizes, step.counts);
         }
         Ok(())

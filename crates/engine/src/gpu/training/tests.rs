@@ -7,7 +7,8 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::training::TrainingEngine as _;
 use crate::{
-    Branches, ImageWeights, LightRotation, Photo, PhotoId, PhotoSize, StepCounts, StepSizes, StepWeights,
+    Branches, ImageWeights, Photo, PhotoId, PhotoLight, PhotoSize, StepCounts, StepSizes, StepWeights,
+    TurnedLight,
 };
 use relume_compare::{largest_difference, relative_error, worst};
 use relume_scene::light::TableResolution;
@@ -53,7 +54,7 @@ fn photos() -> Vec<Photo> {
             camera: Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.8, (SIZE, SIZE)).unwrap(),
             pixels: (0..SIZE * SIZE).map(pixel).collect(),
             alpha: Vec::new(),
-            light: LightRotation::default(),
+            light: PhotoLight::default(),
             range: DisplayRange::Unit,
         }
     };
@@ -205,11 +206,11 @@ fn training_never_queues_more_than_three_submissions_ahead() {
     let mut training = training(&gpu);
     run(&mut training, 2);
     gpu.inner.counters.take_max_in_flight();
-    let rotations = [0.0, 1.0, 2.0, 3.0];
+    let lights = [0.0, 1.0, 2.0, 3.0].map(|radians| TurnedLight { group: 0, radians });
     let how = ProbeMeasurement {
         directions: 40,
         bounces: 2,
-        rotations: &rotations,
+        lights: &lights,
         field: FieldUpdate::Replace,
         repeats: 2,
     };
