@@ -10,7 +10,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use cache::PhotoCache;
-use relume_capture::{Capture, CaptureView, MeasuredCard};
+use relume_capture::{Capture, CaptureView, MeasuredCard, MeasuredChart};
 use relume_engine::{LightRotation, LightRotations, Photo, PhotoSize};
 use relume_scene::{Camera, DisplayRange};
 use relume_spec::training::TrainConfig;
@@ -49,6 +49,8 @@ pub struct Dataset {
     pub range: DisplayRange,
     /// The grey card in the photographs, in the capture's world.
     pub card: Option<MeasuredCard>,
+    /// The colour chart whose matrix the photographs have, in the capture's world.
+    pub chart: Option<MeasuredChart>,
 }
 
 impl Dataset {
@@ -74,8 +76,8 @@ impl Dataset {
         let photos: Vec<_> = capture.train.par_iter().zip(&lights).map(photo).collect();
         let names = capture.train.iter().map(|view| view.name.clone()).collect();
         let cache = PhotoCache::new(cache_bytes(photos.iter().map(|p| p.decoded_bytes(PhotoSize::Full))));
-        let card = capture.grey_card;
-        Self { photos, cache, scale, offset, background, rotations, has_alpha, names, range, card }
+        let (card, chart) = (capture.grey_card, capture.colour_chart.clone());
+        Self { photos, cache, scale, offset, background, rotations, has_alpha, names, range, card, chart }
     }
 
     /// Opaque photographs with the pixels of a test, at 16 bits.
@@ -103,6 +105,7 @@ impl Dataset {
             names: Vec::new(),
             range: DisplayRange::Unit,
             card: None,
+            chart: None,
         }
     }
 
