@@ -113,6 +113,7 @@ fn drawn_by(model: &Arc<Model>) -> Capture {
         turntable: None,
         measured_light: None,
         grey_card: None,
+        colour_chart: None,
         up: Default::default(),
         warnings: Vec::new(),
     }

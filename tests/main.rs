@@ -10,6 +10,7 @@ mod backup;
 mod calibrate;
 mod capture_check;
 mod closed_pipes;
+mod colour_chart;
 mod crash;
 mod deletion;
 mod doctor;

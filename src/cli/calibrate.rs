@@ -1,15 +1,17 @@
-//! `relume calibrate`: scales the albedo of a model to the known reflectance of a surface in a photograph.
+//! `relume calibrate`: scales the albedo of a model to the known reflectance of a surface, or of a colour chart, in a photograph.
 
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use crate::cli::args::named;
 use crate::cli::error::CommandResult;
 use crate::cli::{input, output};
 use relume_capture::formats::model_file;
-use relume_capture::{ImportLimits, patch_camera};
+use relume_capture::{ImportLimits, measure_colour_chart, patch_camera};
 use relume_engine::{Device, DeviceChoice};
-use relume_spec::training::GreyCard;
-use relume_train::calibration::calibrate;
+use relume_scene::Model;
+use relume_spec::training::{ChartEdition, ColourChart, GreyCard};
+use relume_train::calibration::{calibrate, calibrate_by_chart};
 use relume_train::up_of_card;
 
 /// Reflectance of matte white paper.
@@ -25,12 +27,24 @@ pub(super) struct CalibrateArgs {
     capture: PathBuf,
     /// A surface of known reflectance in a photograph, as a rectangle in pixels of the stored photograph. The surface must be part of
     /// the model; it may lie in a shadow.
-    #[arg(long, value_name = "PHOTO:X,Y,WIDTH,HEIGHT")]
-    patch: GreyCard,
+    #[arg(
+        long,
+        value_name = "PHOTO:X,Y,WIDTH,HEIGHT",
+        requires = "reflectance",
+        required_unless_present = "chart"
+    )]
+    patch: Option<GreyCard>,
     /// Linear reflectance of the surface, 0.01 to 1: one number, or red, green and blue (Rec.709), or `white` (0.9, matte paper).
     /// A grey card has 0.18.
-    #[arg(long, value_name = "R|R,G,B|white")]
-    reflectance: Reflectance,
+    #[arg(long, value_name = "R|R,G,B|white", requires = "patch")]
+    reflectance: Option<Reflectance>,
+    /// A classic colour chart of 24 patches in a photograph, in place of a patch: the outer corners of its patches dark skin, bluish green,
+    /// black and white, in pixels of the stored photograph. The albedo is scaled to the neutral patches that the model covers.
+    #[arg(long, value_name = "PHOTO:X1,Y1,X2,Y2,X3,Y3,X4,Y4", conflicts_with = "patch")]
+    chart: Option<ColourChart>,
+    /// When the chart was made: `since_november_2014` or `before_november_2014`.
+    #[arg(long, value_parser = named::<ChartEdition>, default_value = "since_november_2014", requires = "chart")]
+    chart_edition: ChartEdition,
     /// The model file to write.
     #[arg(long)]
     out: PathBuf,
@@ -61,20 +75,64 @@ impl FromStr for Reflectance {
 
 pub(super) fn run(args: &CalibrateArgs) -> CommandResult {
     let mut model = input::read_model(&args.model)?;
-    let up = up_of_card(&model.card)?;
-    let camera = patch_camera(&args.capture, &ImportLimits::default(), up, &args.patch)?;
     let device = Device::open(args.device)?;
-    let done = calibrate(&mut model, &camera, args.reflectance.0, &device)?;
+    let done = match (&args.chart, &args.patch, args.reflectance) {
+        (Some(chart), _, _) => by_chart(args, chart, &mut model, &device)?,
+        (None, Some(patch), Some(reflectance)) => by_patch(args, patch, reflectance, &mut model, &device)?,
+        _ => return Err("--patch and --reflectance, or --chart, must be given".into()),
+    };
     output::write_named(&args.out, &model_file::encode(&model)?)?;
-    let shown = |rgb: [f32; 3]| rgb.map(|v| format!("{v:.3}")).join(", ");
-    eprintln!(
-        "wrote {}: the albedo of the patch was {}, is {}; the light was divided by {}",
-        args.out.display(),
+    eprintln!("wrote {}: {done}", args.out.display());
+    Ok(())
+}
+
+fn shown(rgb: [f32; 3]) -> String {
+    rgb.map(|v| format!("{v:.3}")).join(", ")
+}
+
+/// Calibrates `model` by a patch; returns what was done.
+fn by_patch(
+    args: &CalibrateArgs,
+    patch: &GreyCard,
+    reflectance: Reflectance,
+    model: &mut Model,
+    device: &Device,
+) -> CommandResult<String> {
+    let up = up_of_card(&model.card)?;
+    let camera = patch_camera(&args.capture, &ImportLimits::default(), up, patch)?;
+    let done = calibrate(model, &camera, reflectance.0, device)?;
+    Ok(format!(
+        "the albedo of the patch was {}, is {}; the light was divided by {}",
         shown(done.albedo_before),
         shown(done.reflectance),
         shown(done.scale)
-    );
-    Ok(())
+    ))
+}
+
+/// Calibrates `model` by a colour chart; returns what was done.
+fn by_chart(
+    args: &CalibrateArgs,
+    chart: &ColourChart,
+    model: &mut Model,
+    device: &Device,
+) -> CommandResult<String> {
+    let up = up_of_card(&model.card)?;
+    let chart = ColourChart { edition: args.chart_edition, ..chart.clone() };
+    chart.check()?;
+    let measured = measure_colour_chart(&args.capture, &ImportLimits::default(), up, &chart)?;
+    measured.warning.iter().for_each(|warning| eprintln!("warning: {warning}"));
+    let done = calibrate_by_chart(model, &measured.patches, device)?;
+    Ok(format!(
+        "the model covers {} patches of the chart, {} of them neutral; the albedo was multiplied and the light divided by {}; CIEDE2000 of \
+         the albedo in these patches: mean {:.1}, largest {:.1} before, mean {:.1}, largest {:.1} after",
+        done.patches,
+        done.neutral_patches,
+        shown(done.scale),
+        done.before.mean,
+        done.before.max,
+        done.after.mean,
+        done.after.max
+    ))
 }
 
 #[cfg(test)]

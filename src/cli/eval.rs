@@ -11,11 +11,11 @@ use crate::cli::error::CommandResult;
 use crate::cli::light::read_rotations;
 use crate::cli::sheet::{sheet_format, write_sheet};
 use crate::cli::{input, output};
-use relume_capture::{Capture, ImportLimits, ImportOptions, Up, import};
+use relume_capture::{Capture, ColourMatrix, ImportLimits, ImportOptions, Up, import};
 use relume_engine::{Device, DeviceChoice};
 use relume_spec::training::TurntableCapture;
 use relume_train::eval::{CaptureFacts, EvalOptions, Lpips, SheetRows, contact_sheet, evaluate};
-use relume_train::{light_groups_of_card, turntable_of_card, up_of_card};
+use relume_train::{colour_matrix_of_card, light_groups_of_card, turntable_of_card, up_of_card};
 
 /// Compare a model with the held-out views and the ground truth of a capture.
 #[derive(Debug, clap::Args)]
@@ -65,8 +65,8 @@ pub fn run(args: &EvalArgs) -> CommandResult {
     let model = Arc::new(input::read_model(&args.model)?);
     let lpips = args.lpips.as_deref().map(Lpips::read).transpose()?;
     let up = up_of_card(&model.card)?;
-    let groups = light_groups_of_card(&model.card);
-    let capture = load_capture(args, up, turntable_of_card(&model.card)?, &groups)?;
+    let (groups, colours) = (light_groups_of_card(&model.card), colour_matrix_of_card(&model.card)?);
+    let capture = load_capture(args, up, turntable_of_card(&model.card)?, &groups, colours)?;
 
     let bar = progress_bar();
     let progress = |done: usize, total: usize| {
@@ -96,7 +96,7 @@ pub fn run(args: &EvalArgs) -> CommandResult {
     }
     if let Some(path) = &args.sheet {
         let mut rows = SheetRows::choose(&capture, Some(&report));
-        rows.read_again(&args.capture, up, &ImportLimits::default())?;
+        rows.read_again(&args.capture, up, colours, &ImportLimits::default())?;
         let mut sheet = contact_sheet(model, &rows, options.quality, &device)?;
         report.summary.iter().for_each(|line| sheet.add_heading(line));
         write_sheet(path, &sheet)?;
@@ -104,14 +104,16 @@ pub fn run(args: &EvalArgs) -> CommandResult {
     Ok(())
 }
 
-/// The capture in the world of the model.
+/// The capture in the world and with the colours of the model.
 fn load_capture(
     args: &EvalArgs,
     up: Up,
     turntable: TurntableCapture,
     light_groups: &BTreeMap<String, String>,
+    colour_matrix: Option<ColourMatrix>,
 ) -> CommandResult<Capture> {
-    let options = ImportOptions { max_side: args.resolution, up, turntable, ..ImportOptions::default() };
+    let max_side = args.resolution;
+    let options = ImportOptions { max_side, up, turntable, colour_matrix, ..ImportOptions::default() };
     let mut capture = import(&args.capture, &options)?;
     if let Some(file) = &args.light_rotations {
         capture.set_light_rotations(&read_rotations(file)?)?;

@@ -58,6 +58,7 @@ fn explain(model: &Model, bytes: u64) -> Vec<String> {
         },
     ]);
     out.extend(light(card));
+    out.extend(chart(card));
     out.extend(exposures(card));
     out.extend(crop(card));
     let decisions = findings(card);
@@ -142,10 +143,44 @@ fn light(card: &Value) -> Vec<String> {
         if let Some(error) = calibration.get("error") {
             return format!("not calibrated: {}", plain(error));
         }
-        let [scale, reflectance] = ["scale", "reflectance"].map(|key| numbers(calibration.get(key)));
+        let scale = numbers(calibration.get("scale"));
+        if let Some(chart) = calibration.get("chart") {
+            let number = |path: &str| chart.pointer(path).map_or("unknown".to_owned(), |value| rounded(value, 1));
+            return format!(
+                "calibrated: albedo multiplied and light divided by {scale}, for {} neutral patches of the colour chart; mean CIEDE2000 of \
+                 the albedo in {} patches {} before, {} after",
+                number("/neutral_patches"),
+                number("/patches"),
+                number("/before/mean"),
+                number("/after/mean")
+            );
+        }
+        let reflectance = numbers(calibration.get("reflectance"));
         format!("calibrated: albedo multiplied and light divided by {scale}, for a surface of reflectance {reflectance}")
     }));
     out
+}
+
+/// A number with at most this many decimals; whole numbers without.
+fn rounded(value: &Value, decimals: usize) -> String {
+    match value.as_f64() {
+        Some(number) if !value.is_u64() => format!("{number:.decimals$}"),
+        _ => plain(value),
+    }
+}
+
+/// The colour chart in the photographs, according to the card.
+fn chart(card: &Value) -> Option<String> {
+    let chart = card.get("colour_chart").filter(|chart| !chart.is_null())?;
+    let at = |path: &str| chart.pointer(path).map_or("unknown".to_owned(), |value| rounded(value, 1));
+    Some(format!(
+        "the colours of all photographs were corrected with the colour chart in {}: mean CIEDE2000 of {} patches {} with exposure alone, {} \
+         with the matrix",
+        at("/photo"),
+        at("/patches"),
+        at("/delta_e_2000/before/mean"),
+        at("/delta_e_2000/after/mean")
+    ))
 }
 
 /// The exposures of the photographs, according to the card.
@@ -221,6 +256,29 @@ mod tests {
         let groups = serde_json::json!({"light": {"groups": ["", "evening"]}});
         assert!(light(&groups)[1].starts_with("2 light groups, each with a light: (no group), evening;"));
         assert!(light(&Value::Null).is_empty(), "cards without light print nothing");
+    }
+
+    #[test]
+    fn a_colour_chart_is_printed_with_its_errors() {
+        let errors = |mean: f64| serde_json::json!({ "mean": mean, "max": 2.0 * mean });
+        let card = serde_json::json!({
+            "colour_chart": {
+                "photo": "a.jpg", "patches": 23, "delta_e_2000": { "before": errors(8.26), "after": errors(1.84) },
+            },
+            "light": { "colour": [1, 1, 1] },
+            "calibration": { "scale": [1.5, 1.25, 1.0], "chart": {
+                "neutral_patches": 5, "patches": 20, "before": errors(12.0), "after": errors(3.14),
+            }},
+        });
+        let printed = chart(&card).unwrap();
+        assert!(
+            printed.contains("chart in a.jpg: mean CIEDE2000 of 23 patches 8.3 with exposure alone, 1.8"),
+            "{printed}"
+        );
+        let calibrated = light(&card).pop().unwrap();
+        assert!(calibrated.contains("divided by 1.50, 1.25, 1.00, for 5 neutral patches"), "{calibrated}");
+        assert!(calibrated.contains("in 20 patches 12.0 before, 3.1 after"), "{calibrated}");
+        assert_eq!(chart(&serde_json::json!({ "colour_chart": null })), None, "the control");
     }
 
     #[test]

@@ -69,7 +69,7 @@ enum Command {
     /// Check photographs before a training, or find their poses.
     Capture(capture::CaptureArgs),
     /// Train a model from a capture on this machine.
-    Train(train::TrainArgs),
+    Train(Box<train::TrainArgs>),
     /// Render a model on this machine.
     Render(render::RenderArgs),
     /// Write a small synthetic capture for testing the service.

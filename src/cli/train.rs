@@ -20,8 +20,8 @@ use relume_capture::ImportLimits;
 use relume_capture::formats::model_file;
 use relume_engine::{Device, DeviceChoice};
 use relume_spec::training::{
-    Crop, GreyCard, KnownLight, LightExposure, Method, Preset, TimeBudget, TrainConfig, TrainOverrides,
-    TurntableCapture, Until, WhiteBalance,
+    ChartEdition, ColourChart, Crop, GreyCard, KnownLight, LightExposure, Method, Preset, TimeBudget,
+    TrainConfig, TrainOverrides, TurntableCapture, Until, WhiteBalance,
 };
 use relume_train::time_budget::RecordedPlan;
 use relume_train::{MemoryBudget, MemoryEstimate, PhotographSizes, Trainer, import_in_world};
@@ -51,7 +51,7 @@ pub(super) struct TrainArgs {
     /// contains all settings.
     #[arg(long, value_name = "FILE", conflicts_with_all = [
         "preset", "time", "until", "method", "resolution", "iterations", "seed", "light", "light_rotations", "light_group", "turntable_capture", "white_balance",
-        "grey_card", "reflectance", "crop", "set",
+        "grey_card", "reflectance", "colour_chart", "crop", "set",
     ])]
     plan: Option<PathBuf>,
     /// Method to train: `relume`, or the model of a published system: `3dgs`, `gaussian-shader`, `gs-ir`, `r3dg`, `article`
@@ -104,6 +104,17 @@ pub(super) struct TrainArgs {
     /// card has it.
     #[arg(long, value_name = "R", requires = "grey_card")]
     reflectance: Option<f32>,
+    /// A classic colour chart of 24 patches in a photograph, in even light: the outer corners of its patches dark skin, bluish green, black
+    /// and white, in pixels of the stored photograph. Relume corrects the colours of all photographs with the 3 x 3 matrix that the chart
+    /// determines, and scales the albedo of the model to the neutral patches if the chart is part of the model.
+    #[arg(long, value_name = "PHOTO:X1,Y1,X2,Y2,X3,Y3,X4,Y4", conflicts_with_all = ["grey_card", "light"])]
+    colour_chart: Option<ColourChart>,
+    /// When the chart was made: `since_november_2014` or `before_november_2014`.
+    #[arg(long, value_parser = named::<ChartEdition>, default_value = "since_november_2014", requires = "colour_chart")]
+    chart_edition: ChartEdition,
+    /// Use the colour chart for the photographs only, and do not scale the albedo of the model to it.
+    #[arg(long, requires = "colour_chart")]
+    no_chart_level: bool,
     /// For photographs without masks: the part of the scene that becomes the model. The rest of the scene only lights it. `none`:
     /// the whole scene; `auto`: the object on the ground in the ball around which the cameras are placed; or a ball in units of
     /// the capture, +Z up.
@@ -298,6 +309,10 @@ fn all_overrides(args: &TrainArgs) -> CommandResult<TrainOverrides> {
     if args.grey_card.is_some() {
         let reflectance = args.reflectance;
         overrides.grey_card = args.grey_card.clone().map(|card| GreyCard { reflectance, ..card });
+    }
+    if let Some(chart) = args.colour_chart.clone() {
+        let (edition, level) = (args.chart_edition, !args.no_chart_level);
+        overrides.colour_chart = Some(ColourChart { edition, level, ..chart });
     }
     Ok(overrides)
 }

@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::cli::error::CommandResult;
 use crate::cli::progress::ProgressReporter;
 use crate::cli::sheet::write_sheet;
-use relume_capture::{Capture, CaptureView, ImportLimits, Up};
+use relume_capture::{Capture, CaptureView, ColourMatrix, ImportLimits, Up};
 use relume_engine::Device;
 use relume_scene::Model;
 use relume_spec::training::TrainConfig;
@@ -70,6 +70,7 @@ impl TrainedCapture {
             lights: capture.lights.clone(),
             measured_light: None,
             grey_card: None,
+            colour_chart: capture.colour_chart.clone(),
             warnings: Vec::new(),
         };
         Self {
@@ -106,6 +107,11 @@ impl TrainedCapture {
         lines
     }
 
+    /// The matrix of the photographs.
+    fn colours(&self) -> Option<ColourMatrix> {
+        self.compared.colour_chart.as_ref().map(|chart| chart.matrix)
+    }
+
     /// Number of photographs that [`Self::summarise`] compares.
     pub(super) fn compared(&self) -> usize {
         self.compared.test.len().max(self.compared.train.len())
@@ -136,7 +142,7 @@ impl TrainedCapture {
             let mut rows = SheetRows::choose(&self.compared, Some(&report));
             let count = rows.count().max(1) as f64;
             rows.truncate(1);
-            rows.read_again(&self.path, self.up, &ImportLimits::default()).ok()?;
+            rows.read_again(&self.path, self.up, self.colours(), &ImportLimits::default()).ok()?;
             let read = now();
             contact_sheet(model.clone(), &rows, EvalOptions::TIER, device).ok()?;
             // Most of the reading is to open the capture.
@@ -196,7 +202,7 @@ impl TrainedCapture {
     ) -> CommandResult {
         let _span = tracing::info_span!("contact_sheet").entered();
         let mut rows = SheetRows::choose(&self.compared, Some(report));
-        if let Err(error) = rows.read_again(&self.path, self.up, &ImportLimits::default()) {
+        if let Err(error) = rows.read_again(&self.path, self.up, self.colours(), &ImportLimits::default()) {
             progress.warning(&format!("the contact sheet shows photographs as small as trained: {error}"));
         }
         let mut sheet = contact_sheet(model.clone(), &rows, EvalOptions::TIER, device)?;

@@ -159,6 +159,7 @@ fn capture(side: u32) -> Capture {
         turntable: None,
         measured_light: None,
         grey_card: None,
+        colour_chart: None,
         up: Default::default(),
         warnings: Vec::new(),
     }

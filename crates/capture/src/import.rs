@@ -127,7 +127,7 @@ impl UndecodedCapture {
         image_checks: Option<&ImageChecks>,
     ) -> Result<(Capture, CaptureFiles), CaptureError> {
         let Self { source, options, layout, mut warnings, mut decoded, .. } = self;
-        let Layout { name: layout, photos, points, up } = layout;
+        let Layout { name: layout, photos, mut points, up } = layout;
         let missing = photos.iter().enumerate().filter(|(i, _)| !decoded.contains_key(i));
         let missing: Vec<PhotoEntry> = missing.map(|(_, photo)| photo.clone()).collect();
         let mut loaded = photos::load(&source, &missing, &options, image_checks)?.into_iter();
@@ -145,7 +145,10 @@ impl UndecodedCapture {
         let has_alpha = train.iter().any(|v| !v.image.is_opaque());
         let bounds = bounds::bounds(&train, &points, has_alpha);
         let lights = truth::lights(&source, &test, &mut warnings)?;
-        let (measured_light, grey_card) = (None, None);
+        if let Some(matrix) = &options.colour_matrix {
+            points.iter_mut().for_each(|(_, colour)| *colour = matrix.apply(*colour));
+        }
+        let (measured_light, grey_card, colour_chart) = (None, None, None);
         let capture = Capture {
             layout,
             train,
@@ -156,6 +159,7 @@ impl UndecodedCapture {
             lights,
             measured_light,
             grey_card,
+            colour_chart,
             up,
             turntable,
             warnings,

@@ -1,7 +1,7 @@
 //! Limits and options of an import.
 
-use crate::Up;
 use crate::formats::image_file;
+use crate::{ColourMatrix, Up};
 use relume_spec::training::TurntableCapture;
 
 /// Bounds on what an import accepts, since archives are untrusted.
@@ -61,6 +61,8 @@ pub struct ImportOptions {
     pub up: Up,
     /// Whether the rotations of the light are derived from the poses.
     pub turntable: TurntableCapture,
+    /// Matrix that is applied to the linear colours of all photographs and sparse points, not to ground truth.
+    pub colour_matrix: Option<ColourMatrix>,
 }
 
 impl Default for ImportOptions {
@@ -71,6 +73,7 @@ impl Default for ImportOptions {
             load_truth: true,
             up: Up::AUTO,
             turntable: TurntableCapture::Auto,
+            colour_matrix: None,
         }
     }
 }

@@ -36,15 +36,21 @@ pub fn patch_camera(
     }
     let stored = images::photo_size(&source, &photo.image, photo.lens.approximate_size())?;
     check_inside(patch, stored, "patch")?;
-    part(photo, stored, patch)?
-        .ok_or_else(|| refused("patch", "the lens shows nothing there without its distortion"))
-}
-
-/// The camera of the smallest rectangle, without distortion, that contains the corners of `patch`. `None` if it is empty.
-fn part(photo: &PhotoEntry, stored: (u32, u32), patch: &GreyCard) -> Result<Option<Camera>, CaptureError> {
     let (right, bottom) = patch.end();
     let corners = [(patch.x, patch.y), (right, patch.y), (patch.x, bottom), (right, bottom)];
     let corners = corners.map(|(x, y)| DVec2::new(f64::from(x), f64::from(y)));
+    camera_of_part(photo, stored, corners, MAX_SIDE)?
+        .ok_or_else(|| refused("patch", "the lens shows nothing there without its distortion"))
+}
+
+/// The camera of the smallest rectangle, without distortion, that contains `corners`, pixels of the photograph of `stored` pixels. Its picture
+/// is at most `max_side` pixels wide and high. `None` if it is empty.
+pub(super) fn camera_of_part(
+    photo: &PhotoEntry,
+    stored: (u32, u32),
+    corners: [DVec2; 4],
+    max_side: f64,
+) -> Result<Option<Camera>, CaptureError> {
     let (straight, corners) = photos::straightened(photo, stored, corners)?;
     let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
     for corner in corners {
@@ -55,7 +61,7 @@ fn part(photo: &PhotoEntry, stored: (u32, u32), patch: &GreyCard) -> Result<Opti
     if !(size.is_finite() && size.min_element() > 0.0) {
         return Ok(None);
     }
-    let pixels = size.round().clamp(DVec2::ONE, DVec2::splat(MAX_SIDE));
+    let pixels = size.round().clamp(DVec2::ONE, DVec2::splat(max_side));
     let scale = pixels / size;
     Ok(Some(Camera {
         fx: straight.fx * scale.x,

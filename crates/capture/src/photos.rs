@@ -122,6 +122,9 @@ fn load_one(
     if let Some(mask) = &photo.mask {
         masks::apply(source, mask, stored, &mut image, options)?;
     }
+    if let Some(matrix) = &options.colour_matrix {
+        matrix.apply_to_image(&mut image, light.range);
+    }
     let (camera, image) = undistorted(photo, stored, image)?;
     let image = match light.range {
         DisplayRange::Unit => PackedImage::new(&image, depth),

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::DVec3;
 
-use crate::WorldUp;
+use crate::{MeasuredChart, WorldUp};
 use relume_scene::{Camera, EnvMap, ImageRgba, PackedImage, Plane};
 
 /// Ground truth that a synthetic set may have for a view.
@@ -82,6 +82,8 @@ pub struct Capture {
     pub measured_light: Option<EnvMap>,
     /// The grey card in the photographs; no importer sets it.
     pub grey_card: Option<MeasuredCard>,
+    /// The colour chart whose matrix the photographs have; no importer sets it.
+    pub colour_chart: Option<MeasuredChart>,
     /// The direction in the files that became +Z.
     pub up: WorldUp,
     /// Note that the importer derived the rotations of the light from the poses; `None` if it did not.

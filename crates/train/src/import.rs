@@ -5,17 +5,19 @@ use std::path::Path;
 
 use crate::TrainError;
 use crate::memory::{self, MemoryBudget, PhotographSizes};
-use relume_capture::{Capture, ImportLimits, ImportOptions, UndecodedCapture, Up};
+use relume_capture::{
+    Capture, ColourMatrix, ImportLimits, ImportOptions, UndecodedCapture, Up, measure_colour_chart,
+};
 use relume_spec::training::{TrainConfig, TurntableCapture};
 use serde::Deserialize;
 use serde_json::Value;
 
 /// A capture at the resolution of the training, without ground truth, so that no memory holds unused pixels. It has
-/// the light rotations, the light groups and the grey card's colour that `config` states.
+/// the light rotations, the light groups, the grey card's colour and the colours of the chart that `config` states.
 ///
 /// # Errors
 /// [`TrainError::Capture`] for everything that the importer refuses, with file and field, for a light rotation of an
-/// unknown photograph, and for a grey card that cannot be measured. [`TrainError::Memory`] if `budget` is too small.
+/// unknown photograph, and for a grey card or a colour chart that cannot be measured. [`TrainError::Memory`] if `budget` is too small.
 /// This is checked before decoding, from the sizes in the headers and a few decoded photographs, and again after the
 /// import, from all photographs.
 pub fn import_for_training(
@@ -39,12 +41,15 @@ pub fn import_in_world(
     limits: &ImportLimits,
     budget: MemoryBudget,
 ) -> Result<Capture, TrainError> {
+    let chart = config.colour_chart.as_ref();
+    let chart = chart.map(|chart| measure_colour_chart(path, limits, up, chart)).transpose()?;
     let options = ImportOptions {
         max_side: Some(config.resolution),
         limits: *limits,
         load_truth: false,
         up,
         turntable: config.turntable_capture,
+        colour_matrix: chart.as_ref().map(|chart| chart.matrix),
     };
     let mut undecoded = UndecodedCapture::open(path, &options)?;
     memory::check(&PhotographSizes::undecoded(&mut undecoded)?, config, budget)?;
@@ -55,6 +60,8 @@ pub fn import_in_world(
     if let Some(card) = &config.grey_card {
         capture.measure_grey_card(path, card, up, limits)?;
     }
+    capture.warnings.extend(chart.iter().filter_map(|chart| chart.warning.clone()));
+    capture.colour_chart = chart;
     Ok(capture)
 }
 
@@ -76,6 +83,18 @@ pub fn turntable_of_card(card: &Value) -> Result<TurntableCapture, TrainError> {
 pub fn light_groups_of_card(card: &Value) -> BTreeMap<String, String> {
     let groups = card.pointer("/config/light_groups").map(BTreeMap::deserialize);
     groups.and_then(Result::ok).unwrap_or_default()
+}
+
+/// The matrix with which a capture is imported for a comparison with a model of this card, so that its photographs have the colours of the
+/// training. `None` without a colour chart.
+///
+/// # Errors
+/// [`TrainError::Invalid`] if the card has another value.
+pub fn colour_matrix_of_card(card: &Value) -> Result<Option<ColourMatrix>, TrainError> {
+    let matrix = card.pointer("/colour_chart/matrix").map(ColourMatrix::deserialize).transpose();
+    matrix.map_err(|error| {
+        TrainError::Invalid(format!("the model card: colour_chart.matrix: {error}; train the model again"))
+    })
 }
 
 #[cfg(test)]
@@ -223,6 +242,16 @@ mod tests {
         assert_eq!(of(json!({ "config": {} })).unwrap(), TurntableCapture::No, "a model of an older version");
         let error = of(json!({ "config": { "turntable_capture": 3 } })).unwrap_err().to_string();
         assert!(error.contains("config.turntable_capture"), "{error}");
+    }
+
+    #[test]
+    fn colour_matrix_of_a_model_is_that_of_its_card() {
+        let rows = [[1.0, 0.1, 0.0], [0.0, 1.5, 0.0], [0.0, 0.0, 2.0]];
+        let card = json!({ "colour_chart": { "matrix": rows } });
+        assert_eq!(colour_matrix_of_card(&card).unwrap(), Some(ColourMatrix(rows)));
+        assert_eq!(colour_matrix_of_card(&json!({ "colour_chart": null })).unwrap(), None);
+        let error = colour_matrix_of_card(&json!({ "colour_chart": { "matrix": [1, 2] } })).unwrap_err();
+        assert!(error.to_string().contains("colour_chart.matrix"), "{error}");
     }
 
     #[test]

@@ -33,7 +33,9 @@ mod world_up;
 pub use checkpoint::planned_config;
 pub use dataset::DecodingStats;
 pub use error::TrainError;
-pub use import::{import_for_training, import_in_world, light_groups_of_card, turntable_of_card};
+pub use import::{
+    colour_matrix_of_card, import_for_training, import_in_world, light_groups_of_card, turntable_of_card,
+};
 pub use known_light::illuminate;
 pub use memory::{MemoryBudget, MemoryEstimate, PhotographSizes};
 pub use system_memory::{available_memory, cgroup_limit};

@@ -19,7 +19,7 @@ use relume_spec::rendering::Tier;
 use relume_spec::training::Preset;
 use relume_train::eval::{EvalOptions, Lpips, Report, evaluate, figure};
 use relume_train::time_budget::RecordedPlan;
-use relume_train::{turntable_of_card, up_of_card};
+use relume_train::{colour_matrix_of_card, turntable_of_card, up_of_card};
 
 /// Options of `relume bench training`.
 #[derive(Debug, clap::Args)]
@@ -159,10 +159,11 @@ fn measure(
     Ok(Point { extent, seconds, model, report })
 }
 
-/// The capture at its stored size, in the world of `model`.
+/// The capture at its stored size, in the world and with the colours of `model`.
 fn held_out(path: &Path, model: &Model) -> CommandResult<Capture> {
     let (up, turntable) = (up_of_card(&model.card)?, turntable_of_card(&model.card)?);
-    Ok(import(path, &ImportOptions { up, turntable, ..ImportOptions::default() })?)
+    let colour_matrix = colour_matrix_of_card(&model.card)?;
+    Ok(import(path, &ImportOptions { up, turntable, colour_matrix, ..ImportOptions::default() })?)
 }
 
 fn cells(capture: String, point: &Point) -> [String; 11] {

@@ -123,6 +123,7 @@ pub fn synthetic(options: &SyntheticOptions) -> Result<Capture, CaptureError> {
         lights: options.relit.clone(),
         measured_light: None,
         grey_card: None,
+        colour_chart: None,
         up: WorldUp::default(),
         turntable: None,
         warnings: Vec::new(),

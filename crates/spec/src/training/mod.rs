@@ -1,6 +1,7 @@
 //! Settings and presets of trainings.
 
 mod choices;
+mod colour_chart;
 mod crop;
 mod curve;
 mod error;
@@ -9,6 +10,7 @@ mod group;
 mod known_light;
 mod light_groups;
 mod method;
+mod range;
 mod reference;
 #[cfg(test)]
 mod settings_page;
@@ -19,12 +21,11 @@ mod weights;
 mod white_balance;
 
 use std::collections::BTreeMap;
-use std::fmt::Display;
-use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 
 pub use choices::{Complexity, ComplexitySetting, LabelSource, Preset, TurntableCapture, UpAxis};
+pub use colour_chart::{ChartEdition, ColourChart};
 pub use crop::{Crop, NamedCrop};
 pub use curve::CURVE;
 pub use error::ConfigError;
@@ -39,6 +40,7 @@ pub use until::{Until, UntilFigure};
 pub use weights::{LearningRateChanges, LearningRates, LossWeightChanges, LossWeights};
 pub use white_balance::{NamedBalance, WhiteBalance};
 
+use range::{GROUP_RANGE, check_group, check_range, range_text};
 use relume_scene::ShadingOptions;
 
 /// Share of the steps that train materials during which an estimated colour of the light is kept: until the
@@ -97,6 +99,9 @@ macro_rules! settings {
             /// start of a training.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub grey_card: Option<GreyCard>,
+            /// Colour chart in a photograph. Its matrix is applied to all photographs, and `white_balance` is `neutral`.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub colour_chart: Option<ColourChart>,
             /// Time that the training may take, seconds. Pixels, steps and Gaussians were planned for it.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub time_budget_s: Option<u32>,
@@ -129,6 +134,10 @@ macro_rules! settings {
             /// Its mean linear colour replaces `white_balance`; the two must not be combined. A channel that
             /// is clipped (mean above 0.98) or too dark (mean below 0.01) is an error.
             pub grey_card: Option<GreyCard>,
+            /// Colour chart of 24 patches in a photograph. It determines a 3 x 3 matrix that is applied to the linear colours of all
+            /// photographs, including held-out ones, and the level of albedo. The photographs then show white surfaces as grey, so
+            /// that `white_balance` is `neutral`; another `white_balance`, `grey_card` and `light` must not be combined with it.
+            pub colour_chart: Option<ColourChart>,
             /// Time that the training may take, seconds, 30 to 604,800 (7 days). It replaces the preset:
             /// `resolution`, `iterations`, `max_gaussians` and the settings that depend on them are planned from
             /// the speed of the machine. `resolution` and `max_gaussians` may be given as well; `iterations` must
@@ -163,9 +172,9 @@ macro_rules! settings {
         impl TrainConfig {
             fn standard() -> Self {
                 let (preset, forced, light) = (Preset::Standard, Vec::new(), None);
-                let (light_rotation_per_photo, light_groups, grey_card) = (BTreeMap::new(), BTreeMap::new(), None);
-                let (time_budget_s, until) = (None, None);
-                Self { preset, $($name: $standard,)+ $($group: Default::default(),)+ forced, light, light_rotation_per_photo, light_groups, grey_card, time_budget_s, until }
+                let (light_rotation_per_photo, light_groups) = (BTreeMap::new(), BTreeMap::new());
+                let (grey_card, colour_chart, time_budget_s, until) = (None, None, None, None);
+                Self { preset, $($name: $standard,)+ $($group: Default::default(),)+ forced, light, light_rotation_per_photo, light_groups, grey_card, colour_chart, time_budget_s, until }
             }
 
             /// Applies the settings of `overrides`, except the light.
@@ -327,39 +336,6 @@ fn is_everything(crop: &Crop) -> bool {
     *crop == Crop::NONE
 }
 
-fn check_range<T: PartialOrd + Display>(
-    field: &str,
-    value: T,
-    range: RangeInclusive<T>,
-) -> Result<(), ConfigError> {
-    if range.contains(&value) {
-        return Ok(());
-    }
-    Err(ConfigError::new(field, format!("{value} is outside {}", range_text(&range))))
-}
-
-fn range_text(range: &RangeInclusive<impl Display>) -> String {
-    format!("{} to {}", range.start(), range.end())
-}
-
-/// Accepted range of weights and step sizes.
-const GROUP_RANGE: RangeInclusive<f64> = 0.0..=1e3;
-
-/// Checks that every number of `group` is in [`GROUP_RANGE`].
-fn check_group(name: &str, group: &impl Serialize) -> Result<(), ConfigError> {
-    let fields = serde_json::to_value(group).unwrap_or_default();
-    for (field, value) in fields.as_object().into_iter().flatten() {
-        // A non-finite float serialises as null.
-        if !value.as_f64().is_some_and(|v| GROUP_RANGE.contains(&v)) {
-            return Err(ConfigError::new(
-                format!("{name}.{field}"),
-                format!("must be {}", range_text(&GROUP_RANGE)),
-            ));
-        }
-    }
-    Ok(())
-}
-
 impl TrainConfig {
     /// The preset itself.
     ///
@@ -400,6 +376,7 @@ impl TrainConfig {
         if config.grey_card.is_some() && overrides.white_balance.is_some() {
             return Err(ConfigError::new("grey_card", "must not be combined with white_balance"));
         }
+        config.take_chart(overrides)?;
         if !config.light_rotation_per_photo.is_empty() {
             if config.turntable_capture == TurntableCapture::Yes {
                 let reason = "`yes` must not be combined with light_rotation_per_photo";
@@ -449,6 +426,7 @@ impl TrainConfig {
             let reason = "must not be combined with light, which is one known light of all photographs";
             return Err(ConfigError::new("light_groups", reason));
         }
+        self.colour_chart.iter().try_for_each(ColourChart::check)?;
         if let Some((name, _)) = self.light_rotation_per_photo.iter().find(|(_, turn)| !turn.is_finite()) {
             return Err(ConfigError::new(format!("light_rotation_per_photo.{name}"), "must be finite"));
         }

@@ -62,7 +62,7 @@ fn settings_page() -> String {
         This page is generated from the table of settings; `RELUME_ACCEPT=1 cargo test --release -p relume-spec settings_page` renews it.\n\n\
         Each setting except `light_rotations` is a flag of `relume train` (`--max-gaussians 20000`). Each setting is a pair of `--set` (`--set weights.smoothness=0.02`) and a field of\n\
         `overrides` in `POST /v1/jobs` (`{\"weights\": {\"smoothness\": 0.02}}`). Omitted settings have the value of the preset. Fields of a group that\n\
-        are omitted are unchanged. Six more fields of `overrides` are no settings: `light`, `light_rotation_per_photo`, `light_groups` and `grey_card`\n\
+        are omitted are unchanged. Seven more fields of `overrides` are no settings: `light`, `light_rotation_per_photo`, `light_groups`, `grey_card` and `colour_chart`\n\
         ([light](light.md)), `time_budget_s` and `until` ([training](training.md#time-in-place-of-a-preset)).\n"
         .to_owned();
     let mut last = None;

@@ -42,6 +42,8 @@ pub enum NamedBalance {
 impl WhiteBalance {
     /// Unknown colour.
     pub const AUTO: Self = Self::Named(NamedBalance::Auto);
+    /// White surfaces are grey in the photographs.
+    pub const NEUTRAL: Self = Self::Named(NamedBalance::Neutral);
 
     /// The colour, if it is known.
     pub fn known(self) -> Option<LightColour> {

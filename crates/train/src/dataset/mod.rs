@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use crate::light_groups::{self, RelativeLight};
 use cache::PhotoCache;
-use relume_capture::{Capture, CaptureView, MeasuredCard};
+use relume_capture::{Capture, CaptureView, MeasuredCard, MeasuredChart};
 use relume_engine::{Photo, PhotoLight, PhotoLights, PhotoSize};
 use relume_scene::{Camera, DisplayRange};
 use relume_spec::training::TrainConfig;
@@ -54,6 +54,8 @@ pub struct Dataset {
     pub range: DisplayRange,
     /// The grey card in the photographs, in the capture's world.
     pub card: Option<MeasuredCard>,
+    /// The colour chart whose matrix the photographs have, in the capture's world.
+    pub chart: Option<MeasuredChart>,
 }
 
 impl Dataset {
@@ -81,7 +83,7 @@ impl Dataset {
         let photos: Vec<_> = capture.train.par_iter().zip(&light_of).map(photo).collect();
         let names = capture.train.iter().map(|view| view.name.clone()).collect();
         let cache = PhotoCache::new(cache_bytes(photos.iter().map(|p| p.decoded_bytes(PhotoSize::Full))));
-        let card = capture.grey_card;
+        let (card, chart) = (capture.grey_card, capture.colour_chart.clone());
         let mut data = Self {
             photos,
             cache,
@@ -95,6 +97,7 @@ impl Dataset {
             names,
             range,
             card,
+            chart,
         };
         data.relative_lights = light_groups::relative_lights(&data);
         if data.relative_lights.len() > 1 {
@@ -132,6 +135,7 @@ impl Dataset {
             names: Vec::new(),
             range: DisplayRange::Unit,
             card: None,
+            chart: None,
         }
     }
 

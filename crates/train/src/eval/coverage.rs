@@ -107,6 +107,7 @@ mod tests {
             lights: Default::default(),
             measured_light: None,
             grey_card: None,
+            colour_chart: None,
             warnings: Vec::new(),
         };
         Coverage::of(&capture, compared)

@@ -6,7 +6,9 @@ use std::path::Path;
 use crate::eval::cell::CELL;
 use crate::eval::evaluate::{evenly_spaced, shows_object};
 use crate::eval::report::{Report, ViewScore};
-use relume_capture::{Capture, CaptureError, CaptureView, ImportLimits, ImportOptions, UndecodedCapture, Up};
+use relume_capture::{
+    Capture, CaptureError, CaptureView, ColourMatrix, ImportLimits, ImportOptions, UndecodedCapture, Up,
+};
 use relume_scene::EnvMap;
 use relume_spec::training::TurntableCapture;
 
@@ -55,14 +57,20 @@ impl SheetRows {
     }
 
     /// Reads the photographs of these views again from the capture at `path`, at the size of a cell, with the ground
-    /// truth that the capture has. A training and `--resolution` reduce photographs to less. Light rotations are kept.
+    /// truth that the capture has. A training and `--resolution` reduce photographs to less. Light rotations are kept; `colour_matrix` is that
+    /// of the model ([`crate::colour_matrix_of_card`]).
     ///
     /// # Errors
     /// The error of the import. The views are then unchanged.
-    pub fn read_again(&mut self, path: &Path, up: Up, limits: &ImportLimits) -> Result<(), CaptureError> {
-        let turntable = TurntableCapture::No;
-        let options =
-            ImportOptions { max_side: Some(CELL), limits: *limits, load_truth: true, up, turntable };
+    pub fn read_again(
+        &mut self,
+        path: &Path,
+        up: Up,
+        colour_matrix: Option<ColourMatrix>,
+        limits: &ImportLimits,
+    ) -> Result<(), CaptureError> {
+        let (turntable, max_side, limits) = (TurntableCapture::No, Some(CELL), *limits);
+        let options = ImportOptions { max_side, limits, load_truth: true, up, turntable, colour_matrix };
         let mut undecoded = UndecodedCapture::open(path, &options)?;
         let names: BTreeSet<&str> = self.rows.iter().map(|(_, view)| view.name.as_str()).collect();
         undecoded.retain(&names)?;
@@ -120,12 +128,12 @@ mod tests {
         let mut rows = SheetRows::choose(&trained, None);
         assert_eq!((rows.rows[0].1.image.width, rows.lights.len()), (16, 0), "the control");
         assert!(rows.rows[0].1.truth.albedo.is_none(), "the control");
-        rows.read_again(file.path(), Up::AUTO, &ImportLimits::default()).unwrap();
+        rows.read_again(file.path(), Up::AUTO, None, &ImportLimits::default()).unwrap();
         let view = &rows.rows[0].1;
         assert_eq!((view.image.width, view.camera.width, view.light_rotation_deg), (24, 24, 30.0));
         assert!(view.truth.albedo.is_some() && rows.lights.len() == 3 && rows.rows.len() == 2);
         let before = rows.clone();
-        let gone = rows.read_again(Path::new("no/such.zip"), Up::AUTO, &ImportLimits::default());
+        let gone = rows.read_again(Path::new("no/such.zip"), Up::AUTO, None, &ImportLimits::default());
         assert!(gone.is_err() && rows == before, "an error leaves the views as they are");
     }
 }

@@ -88,6 +88,7 @@ pub fn scaled_cost(
         // The map of a known light is read later.
         light: None,
         grey_card: None,
+        colour_chart: None,
         time_budget_s: None,
         until: None,
         ..planned.clone()

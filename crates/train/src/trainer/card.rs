@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::calibration::calibrate;
+use crate::calibration::{calibrate, calibrate_by_chart};
 use crate::dataset::Gain;
 use crate::time_budget::plan_card;
 use crate::trainer::Trainer;
@@ -31,6 +31,7 @@ impl Trainer {
             "complexity": self.schedule.complexity.card(&self.config, &model.gaussians),
             "light": self.light_card(&model),
             "exposures": self.exposures_card(),
+            "colour_chart": self.chart_card(),
             "up": self.schedule.up,
             "photographed_views": self.photographed_views(&model),
             "crop": self.crop_card(),
@@ -43,8 +44,15 @@ impl Trainer {
         Ok(model)
     }
 
-    /// Scales albedo and light to the reflectance of the grey card, if it is known. The model card has the reason if that is impossible.
+    /// Scales albedo and light to the reflectance of the grey card or of the colour chart, if it is known. The model card has the reason if
+    /// that is impossible.
     fn calibrate(&self, model: &mut Model) {
+        let has_level = self.config.colour_chart.as_ref().is_some_and(|chart| chart.level);
+        if let Some(chart) = self.data.chart.as_ref().filter(|_| has_level)
+            && let Err(error) = calibrate_by_chart(model, &chart.patches, &Device::Cpu)
+        {
+            model.card["calibration"] = serde_json::json!({ "error": error.to_string() });
+        }
         let reflectance = self.config.grey_card.as_ref().and_then(|card| card.reflectance);
         let camera = self.data.card.and_then(|card| card.camera);
         if let Some((camera, reflectance)) = camera.zip(reflectance)
@@ -52,6 +60,21 @@ impl Trainer {
         {
             model.card["calibration"] = serde_json::json!({ "error": error.to_string() });
         }
+    }
+
+    /// The colour chart and the matrix that the photographs have; null without a chart.
+    fn chart_card(&self) -> serde_json::Value {
+        let (Some(chart), Some(setting)) = (&self.data.chart, &self.config.colour_chart) else {
+            return serde_json::Value::Null;
+        };
+        serde_json::json!({
+            "photo": setting.photo,
+            "matrix": chart.matrix,
+            "delta_e_2000": { "before": chart.before, "after": chart.after },
+            "patches": chart.patches.len() - chart.left_out.len(),
+            "left_out": chart.left_out,
+            "order": chart.order,
+        })
     }
 
     /// Findings about the light.

@@ -133,6 +133,9 @@ fn prepare(capture: &Capture, config: &mut TrainConfig) -> Result<Dataset, Train
         let card = capture.grey_card.ok_or_else(|| TrainError::Invalid(missing.into()))?;
         config.white_balance = WhiteBalance::Colour(card.colour);
     }
+    if config.colour_chart.is_some() && capture.colour_chart.is_none() {
+        return Err(TrainError::Invalid("colour_chart: the chart was not measured".into()));
+    }
     Ok(Dataset::new(capture, config))
 }
 

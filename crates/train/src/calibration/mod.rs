@@ -3,11 +3,13 @@
 //! Photographs determine the product of albedo and light, not the level of either. One surface of known reflectance determines both:
 //! albedo is multiplied by a number per channel, and the light divided by it.
 
+mod chart;
+
 use std::sync::Arc;
 
 use serde::Serialize;
 
-use crate::render::{RenderError, Renderer};
+use crate::render::{PreparedLight, RenderError, Renderer};
 use relume_engine::{Device, DeviceError};
 use relume_scene::{Camera, Field, Model, softplus, softplus_inverse};
 use relume_spec::rendering::{Output, Tier};
@@ -17,6 +19,8 @@ use relume_spec::training::GreyCard;
 const MIN_COVERAGE: f32 = 0.5;
 /// Least albedo of a channel that is scaled; a darker one gives no reliable ratio.
 const MIN_ALBEDO: f32 = 0.005;
+
+pub use chart::{ChartCalibration, calibrate_by_chart};
 
 /// A calibration by one patch.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -46,6 +50,11 @@ pub enum CalibrationError {
         "patch: the albedo of the model there is {0:.4} in a channel, too dark to be scaled; choose a brighter patch"
     )]
     TooDark(f32),
+    /// The model covers no neutral patch of the colour chart.
+    #[error(
+        "colour chart: the model covers none of its neutral patches; the chart must be part of the model"
+    )]
+    NoNeutralPatch,
     /// The patch could not be rendered.
     #[error(transparent)]
     Render(#[from] RenderError),
@@ -67,15 +76,12 @@ pub fn calibrate(
     if let Some(bad) = reflectance.iter().find(|r| !GreyCard::REFLECTANCE.contains(*r)) {
         return Err(CalibrationError::Reflectance(*bad));
     }
-    if !model.has_materials() {
-        return Err(CalibrationError::NoMaterials);
-    }
     let albedo_before = albedo_in(model, patch, device)?;
-    let scale = std::array::from_fn(|c| reflectance[c] / albedo_before[c]);
-    *model = with_scaled_albedo(model, scale);
-    for raw in &mut model.env_raw {
-        *raw = std::array::from_fn(|c| softplus_inverse(softplus(raw[c]) / scale[c]));
+    if let Some(dark) = albedo_before.iter().find(|v| !(**v >= MIN_ALBEDO)) {
+        return Err(CalibrationError::TooDark(*dark));
     }
+    let scale = std::array::from_fn(|c| reflectance[c] / albedo_before[c]);
+    scale_by(model, scale);
     let calibration = Calibration { reflectance, albedo_before, scale };
     if model.card.is_object() {
         model.card["calibration"] = serde_json::json!(calibration);
@@ -83,23 +89,49 @@ pub fn calibrate(
     Ok(calibration)
 }
 
+/// Multiplies the albedo of `model` and divides its light, by channel.
+fn scale_by(model: &mut Model, scale: [f32; 3]) {
+    *model = with_scaled_albedo(model, scale);
+    for raw in &mut model.env_raw {
+        *raw = std::array::from_fn(|c| softplus_inverse(softplus(raw[c]) / scale[c]));
+    }
+}
+
 /// Mean albedo of `model` in the picture of `patch`.
 fn albedo_in(model: &Model, patch: &Camera, device: &Device) -> Result<[f32; 3], CalibrationError> {
-    let renderer = Renderer::on(Arc::new(model.clone()), device)?;
-    let light = renderer.prepare_light(model.recovered_light())?;
-    let frame = renderer.render(patch, &light, Tier::Standard, &[Output::Albedo])?;
-    let plane = |output| frame.planes.get(&output).map_or(&[][..], Vec::as_slice);
-    let (albedo, alpha) = (plane(Output::Albedo).as_chunks::<3>().0, plane(Output::Alpha));
-    let covered: f32 = alpha.iter().sum();
-    let coverage = covered / alpha.len().max(1) as f32;
-    if !(coverage >= MIN_COVERAGE) {
-        return Err(CalibrationError::NotCovered(coverage));
+    AlbedoViewer::new(model, device)?.mean(patch)
+}
+
+/// Renders the albedo of a model.
+struct AlbedoViewer {
+    renderer: Renderer,
+    light: PreparedLight,
+}
+
+impl AlbedoViewer {
+    fn new(model: &Model, device: &Device) -> Result<Self, CalibrationError> {
+        if !model.has_materials() {
+            return Err(CalibrationError::NoMaterials);
+        }
+        let renderer = Renderer::on(Arc::new(model.clone()), device)?;
+        let light = renderer.prepare_light(model.recovered_light())?;
+        Ok(Self { renderer, light })
     }
-    let mean: [f32; 3] =
-        std::array::from_fn(|c| albedo.iter().zip(alpha).map(|(v, a)| v[c] * a).sum::<f32>() / covered);
-    match mean.iter().find(|v| !(**v >= MIN_ALBEDO)) {
-        Some(dark) => Err(CalibrationError::TooDark(*dark)),
-        None => Ok(mean),
+
+    /// Mean albedo in the picture of `patch`.
+    ///
+    /// # Errors
+    /// [`CalibrationError::NotCovered`] without a surface there.
+    fn mean(&self, patch: &Camera) -> Result<[f32; 3], CalibrationError> {
+        let frame = self.renderer.render(patch, &self.light, Tier::Standard, &[Output::Albedo])?;
+        let plane = |output| frame.planes.get(&output).map_or(&[][..], Vec::as_slice);
+        let (albedo, alpha) = (plane(Output::Albedo).as_chunks::<3>().0, plane(Output::Alpha));
+        let covered: f32 = alpha.iter().sum();
+        let coverage = covered / alpha.len().max(1) as f32;
+        if !(coverage >= MIN_COVERAGE) {
+            return Err(CalibrationError::NotCovered(coverage));
+        }
+        Ok(std::array::from_fn(|c| albedo.iter().zip(alpha).map(|(v, a)| v[c] * a).sum::<f32>() / covered))
     }
 }
 
@@ -122,10 +154,10 @@ mod tests {
     use relume_compare::largest_difference;
     use relume_scene::Gaussians;
 
-    const ALBEDO: [f32; 3] = [0.4, 0.3, 0.2];
+    pub(super) const ALBEDO: [f32; 3] = [0.4, 0.3, 0.2];
 
     /// An opaque disc of one albedo at the origin, under a uniform light of radiance 1.
-    fn disc() -> Model {
+    pub(super) fn disc() -> Model {
         let mut g = Gaussians::zeroed(1, 1, 0, 0);
         g.row_mut(Field::LogScale, 0).copy_from_slice(&[-1.0, -1.0, -4.0]);
         g.row_mut(Field::Quaternion, 0)[0] = 1.0;
@@ -135,7 +167,7 @@ mod tests {
     }
 
     /// The view of a small part of the disc, or of nothing.
-    fn above(x: f64) -> Camera {
+    pub(super) fn above(x: f64) -> Camera {
         let eye = DVec3::new(x, 0.0, 2.0);
         Camera::look_at(eye, DVec3::new(x, 0.0, 0.0), DVec3::Y, 0.02, (4, 4)).unwrap()
     }
