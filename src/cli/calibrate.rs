@@ -9,7 +9,7 @@ use relume_capture::formats::model_file;
 use relume_capture::{ImportLimits, patch_camera};
 use relume_engine::{Device, DeviceChoice};
 use relume_spec::training::GreyCard;
-use relume_train::calibration::calibrate;
+use relume_train::calibration::{calibrate_finished, measure_albedo};
 use relume_train::up_of_card;
 
 /// Reflectance of matte white paper.
@@ -64,7 +64,8 @@ pub(super) fn run(args: &CalibrateArgs) -> CommandResult {
     let up = up_of_card(&model.card)?;
     let camera = patch_camera(&args.capture, &ImportLimits::default(), up, &args.patch)?;
     let device = Device::open(args.device)?;
-    let done = calibrate(&mut model, &camera, args.reflectance.0, &device)?;
+    let albedo = measure_albedo(&model, &camera, &device);
+    let done = calibrate_finished(&mut model, albedo, args.reflectance.0)?;
     output::write_named(&args.out, &model_file::encode(&model)?)?;
     let shown = |rgb: [f32; 3]| rgb.map(|v| format!("{v:.3}")).join(", ");
     eprintln!(
