@@ -63,7 +63,7 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
           </div>
           <div class="stack">
             <section class="card stack look" aria-label="Look">
-              <Lights model={id} value={look.light} lights={lights.data} onChange={(light) => change({ light })} onAdded={lights.reload} />
+              <Lights key={`choices ${version}`} model={id} value={look.light} lights={lights.data} onChange={(light) => change({ light })} onAdded={lights.reload} />
               <Slider label="Turn the light" value={look.rotation} min={-180} max={180} step={5} unit="°" onInput={(rotation) => change({ rotation })} />
               <Slider label="Exposure" value={look.exposure} min={-4} max={4} step={0.25} unit=" EV" onInput={(exposure) => change({ exposure })} />
               <Background value={look.background} onChange={(background) => change({ background })} />
