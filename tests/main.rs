@@ -39,6 +39,7 @@ mod server_process;
 mod service;
 mod service_answers;
 mod service_api;
+mod service_calibration;
 mod service_cameras;
 mod service_cli;
 mod service_description;

@@ -11,7 +11,7 @@ use relume_capture::{ImportLimits, measure_colour_chart, patch_camera};
 use relume_engine::{Device, DeviceChoice};
 use relume_scene::Model;
 use relume_spec::training::{ChartEdition, ColourChart, GreyCard};
-use relume_train::calibration::{calibrate, calibrate_by_chart};
+use relume_train::calibration::{CalibrationTime, calibrate_by_chart, calibrate_finished, measure_albedo};
 use relume_train::up_of_card;
 
 /// Reflectance of matte white paper.
@@ -100,7 +100,8 @@ fn by_patch(
 ) -> CommandResult<String> {
     let up = up_of_card(&model.card)?;
     let camera = patch_camera(&args.capture, &ImportLimits::default(), up, patch)?;
-    let done = calibrate(model, &camera, reflectance.0, device)?;
+    let albedo = measure_albedo(model, &camera, device);
+    let done = calibrate_finished(model, albedo, reflectance.0)?;
     Ok(format!(
         "the albedo of the patch was {}, is {}; the light was divided by {}",
         shown(done.albedo_before),
@@ -121,7 +122,7 @@ fn by_chart(
     chart.check()?;
     let measured = measure_colour_chart(&args.capture, &ImportLimits::default(), up, &chart)?;
     measured.warning.iter().for_each(|warning| eprintln!("warning: {warning}"));
-    let done = calibrate_by_chart(model, &measured.patches, device)?;
+    let done = calibrate_by_chart(model, &measured.patches, device, CalibrationTime::Finished)?;
     Ok(format!(
         "the model covers {} patches of the chart, {} of them neutral; the albedo was multiplied and the light divided by {}; CIEDE2000 of \
          the albedo in these patches: mean {:.1}, largest {:.1} before, mean {:.1}, largest {:.1} after",

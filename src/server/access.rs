@@ -72,6 +72,8 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::GET, "/v1/models/{id}", Needs(Read)),
     (Method::PATCH, "/v1/models/{id}", Needs(Submit)),
     (Method::DELETE, "/v1/models/{id}", Needs(Submit)),
+    (Method::PUT, "/v1/models/{id}/calibration", Needs(Submit)),
+    (Method::DELETE, "/v1/models/{id}/calibration", Needs(Submit)),
     (Method::GET, "/v1/models/{id}/card", Needs(Read)),
     (Method::GET, "/v1/models/{id}/files/{name}", Needs(Read)),
     (Method::POST, "/v1/models/{id}/exports", Needs(Render)),

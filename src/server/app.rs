@@ -70,6 +70,8 @@ pub(super) struct App {
     pub(super) thumbnails: ThumbnailCache,
     /// Locks of thumbnails that are being made, by digest.
     pub(super) thumbnail_locks: KeyedLocks,
+    /// Locks of models whose files are being replaced.
+    pub(super) model_locks: KeyedLocks,
     /// Opened captures, for their photographs.
     pub(super) opened: OpenedCaptures,
     /// Decoded environment maps.

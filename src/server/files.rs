@@ -1,4 +1,4 @@
-//! `/v1/models/{id}/files/{name}`: immutable files with ranges, strong validators and digests (RFC 9110, 9530).
+//! `/v1/models/{id}/files/{name}`: files with ranges, strong validators and digests (RFC 9110, 9530).
 
 use std::ops::Range;
 use std::time::Duration;
@@ -20,6 +20,15 @@ use crate::server::extract::UrlPath;
 use crate::server::problem::Problem;
 use crate::store::ModelFile;
 use relume_api::ModelId;
+
+/// How long caches may keep a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Freshness {
+    /// The file never changes.
+    ForEver,
+    /// Caches ask again before each use, because a calibration replaces the files of a model.
+    AskAgain,
+}
 
 /// Validity of a URL of the object store.
 const SIGNED_URL_LIFETIME: Duration = Duration::from_secs(900);
@@ -56,7 +65,7 @@ async fn get_file(
 ) -> Result<Response, Problem> {
     let missing = || Problem::not_found("file", &format!("{id}/{name}"));
     let file = app.store.model_file(&caller.tenant, &id, &name).await?.ok_or_else(missing)?;
-    send(&app, &asked, &file, async || {
+    send(&app, &asked, (&file, Freshness::AskAgain), async || {
         app.store.verified_model_file(&caller.tenant, &id, &name).await?.map(drop).ok_or_else(missing)
     })
     .await
@@ -92,14 +101,14 @@ impl FileRequest {
 pub(super) async fn send(
     app: &AppState,
     asked: &FileRequest,
-    file: &ModelFile,
+    (file, freshness): (&ModelFile, Freshness),
     check: impl AsyncFnOnce() -> Result<(), Problem>,
 ) -> Result<Response, Problem> {
     let size = u64::try_from(file.bytes).map_err(Problem::internal)?;
     let (etag, headers) = (etag(&file.sha256), &asked.headers);
     if matches_etag(headers, &etag) {
         let mut response = StatusCode::NOT_MODIFIED.into_response();
-        describe(response.headers_mut(), file, &etag);
+        describe(response.headers_mut(), file, &etag, freshness);
         return Ok(response);
     }
     let (status, range) = match requested(headers, &etag, size) {
@@ -116,7 +125,7 @@ pub(super) async fn send(
     let stream = app.store.artifacts().stream(&file.artifact, range.clone()).await?;
     let mut response = (status, Body::from_stream(stream)).into_response();
     let out = response.headers_mut();
-    describe(out, file, &etag);
+    describe(out, file, &etag, freshness);
     out.insert(header::CONTENT_LENGTH, HeaderValue::from(range.end - range.start));
     if status == StatusCode::PARTIAL_CONTENT {
         let text = format!("bytes {}-{}/{size}", range.start, range.end - 1);
@@ -128,7 +137,7 @@ pub(super) async fn send(
 /// A redirect to the object store. The validator and the digest are those of the file, so that the client can compare them.
 fn redirect(file: &ModelFile, etag: &str, url: &str) -> Result<Response, Problem> {
     let mut response = StatusCode::TEMPORARY_REDIRECT.into_response();
-    describe(response.headers_mut(), file, etag);
+    describe(response.headers_mut(), file, etag, Freshness::AskAgain);
     let entries = [(header::LOCATION, url), (header::CACHE_CONTROL, "no-store")];
     for (name, value) in entries {
         response.headers_mut().insert(name, HeaderValue::from_str(value).map_err(Problem::internal)?);
@@ -147,14 +156,18 @@ pub(super) fn matches_etag(headers: &HeaderMap, etag: &str) -> bool {
     values.flat_map(|v| v.split(',')).map(str::trim).any(|v| v == "*" || v.trim_start_matches("W/") == etag)
 }
 
-fn describe(headers: &mut HeaderMap, file: &ModelFile, etag: &str) {
+fn describe(headers: &mut HeaderMap, file: &ModelFile, etag: &str, freshness: Freshness) {
+    let cache = match freshness {
+        Freshness::ForEver => "private, max-age=31536000, immutable",
+        Freshness::AskAgain => "private, no-cache",
+    };
     let digest: Vec<u8> =
         file.sha256.as_bytes().as_chunks::<2>().0.iter().filter_map(|pair| nibbles(*pair)).collect();
     let entries = [
         (header::ETAG, etag.to_owned()),
         (header::CONTENT_TYPE, file.content_type.clone()),
         (header::ACCEPT_RANGES, "bytes".to_owned()),
-        (header::CACHE_CONTROL, "private, max-age=31536000, immutable".to_owned()),
+        (header::CACHE_CONTROL, cache.to_owned()),
         (REPR_DIGEST, format!("sha-256=:{}:", STANDARD.encode(digest))),
     ];
     for (name, value) in entries {

@@ -133,6 +133,11 @@ pub(super) fn export_bytes(size: u64, cells: usize) -> u64 {
     5 * size + mesh
 }
 
+/// Bytes for the replacement of a model with a file of `size` bytes: the file, the model, and the two new files.
+pub(super) fn rewrite_bytes(size: u64) -> u64 {
+    4 * size
+}
+
 /// Bytes for the stream of a light: tables and a map in columns and bytes, and the light of each Gaussian.
 pub(super) fn light_bytes(gaussians: i64) -> u64 {
     (8 << 20) + 100 * gaussians.max(0).unsigned_abs()

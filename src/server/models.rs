@@ -13,6 +13,7 @@ use crate::server::metadata::{self, FilteredPageQuery};
 use crate::server::problem::Problem;
 use crate::store::{ModelFile, ModelRecord};
 use crate::worker::{ModelContent, ModelSource};
+use relume_api::calibration::CalibrationView;
 use relume_api::metadata::MetadataChange;
 use relume_api::models::{FileView, ModelSummary, ModelView};
 use relume_api::{List, ModelId, ResourceKind, TenantId};
@@ -60,11 +61,16 @@ async fn get_model(
     caller: Caller,
     UrlPath(id): UrlPath<ModelId>,
 ) -> Result<Json<ModelView>, Problem> {
-    let model = find(&app, &caller.tenant, &id).await?;
-    let files = app.store.model_files(&caller.tenant, &id).await?;
-    let files = files.into_iter().map(|file| file_view(&id, file)).collect();
-    let card = model.card.clone();
-    Ok(Json(ModelView { summary: summary(model), files, card }))
+    view(&app, &caller.tenant, &id).await.map(Json)
+}
+
+/// A model with its files and its card.
+pub(super) async fn view(app: &AppState, tenant: &TenantId, id: &ModelId) -> Result<ModelView, Problem> {
+    let model = find(app, tenant, id).await?;
+    let files = app.store.model_files(tenant, id).await?;
+    let files = files.into_iter().map(|file| file_view(id, file)).collect();
+    let (card, calibration) = (model.card.clone(), CalibrationView::of_card(&model.card));
+    Ok(ModelView { summary: summary(model), files, calibration, card })
 }
 
 /// Change the metadata of a model
@@ -104,7 +110,11 @@ async fn get_card(
     Ok(Json(find(&app, &caller.tenant, &id).await?.card))
 }
 
-async fn find(app: &AppState, tenant: &TenantId, id: &ModelId) -> Result<ModelRecord, Problem> {
+/// A model of a tenant.
+///
+/// # Errors
+/// 404 if it does not exist.
+pub(super) async fn find(app: &AppState, tenant: &TenantId, id: &ModelId) -> Result<ModelRecord, Problem> {
     app.store.model(tenant, id).await?.ok_or_else(|| Problem::not_found("model", id.as_str()))
 }
 

@@ -18,6 +18,7 @@ const PRIMARY_ONLY: &[(Option<Method>, &str)] = &[
     (Some(Method::DELETE), "/v1/exports/{id}"),
     (Some(Method::DELETE), "/v1/jobs/{id}"),
     (Some(Method::DELETE), "/v1/models/{id}"),
+    (None, "/v1/models/{id}/calibration"),
     (Some(Method::POST), "/v1/models/{id}/exports"),
     (None, "/v1/uploads"),
     (None, "/v1/uploads/{id}"),
@@ -35,7 +36,7 @@ pub(super) async fn check(request: Request, next: Next) -> Response {
     }
     let title = "Only the first server supports this request";
     Problem::new(StatusCode::MISDIRECTED_REQUEST, "first-server-only", title)
-        .detail("this server is a replica that reads, renders and trains; send uploads, exports and deletions to the first server")
+        .detail("this server is a replica that reads, renders and trains; send uploads, exports, calibrations and deletions to the first server")
         .into_response()
 }
 

@@ -14,9 +14,9 @@ use crate::server::problem::Problem;
 #[cfg(feature = "web")]
 use crate::server::web;
 use crate::server::{
-    cameras, captures, deletion, description, environments, events, exports, files, health, jobs, keys,
-    models, photographs, poses, previews, renders, signed_urls, thumbnails, uploads, usage, viewer, webhooks,
-    workers,
+    calibrations, cameras, captures, deletion, description, environments, events, exports, files, health,
+    jobs, keys, models, photographs, poses, previews, renders, signed_urls, thumbnails, uploads, usage,
+    viewer, webhooks, workers,
 };
 
 fn families() -> OpenApiRouter<AppState> {
@@ -41,7 +41,7 @@ fn families() -> OpenApiRouter<AppState> {
         .merge(with_limits(reading, &ARCHIVE_READS))
         .merge(with_limits(workers::transfers(), &WORKER_FILES))
         .merge(with_limits(queries, &QUERIES))
-        .merge(with_limits(renders::routes(), &RENDERS))
+        .merge(with_limits(renders::routes().merge(calibrations::routes()), &RENDERS))
         .merge(with_limits(
             thumbnails::routes()
                 .merge(photographs::pictures())

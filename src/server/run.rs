@@ -317,6 +317,7 @@ fn service(
         import_limits: config.worker.import_limits,
         memory: MemoryBudget::new(config.limits.memory_bytes),
         thumbnail_locks: KeyedLocks::default(),
+        model_locks: KeyedLocks::default(),
         opened: OpenedCaptures::default(),
         maps: DecodedMaps::default(),
         poses: PoseQueue::new(config.poses.clone()),

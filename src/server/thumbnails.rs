@@ -66,9 +66,9 @@ pub struct ThumbnailQuery {
 
 /// Get a thumbnail
 ///
-/// Renders a square image of the model. The same URL always gives the same image, so caches can keep it. The
-/// server computes the `ETag` without rendering; `HEAD` returns it and renders nothing. The server caches
-/// images on its disk. The header `relume-photograph-angle` is that of a render.
+/// Renders a square image of the model. The same URL gives the same image until the model is calibrated. The server
+/// computes the `ETag` without rendering; `HEAD` returns it and renders nothing. The server caches images on its
+/// disk. The header `relume-photograph-angle` is that of a render.
 #[utoipa::path(
     get, path = "/v1/models/{id}/thumbnail", tag = "models",
     params(("id" = String, Path, description = "Model identifier"), ThumbnailQuery),
@@ -120,7 +120,8 @@ async fn thumbnail(
     }
     let out = response.headers_mut();
     out.insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
-    let scope = if caller.has_key { "private, max-age=3600" } else { "public, max-age=3600" };
+    // Caches ask again before each use, because a calibration replaces the files of a model.
+    let scope = if caller.has_key { "private, no-cache" } else { "public, no-cache" };
     out.insert(header::CACHE_CONTROL, HeaderValue::from_static(scope));
     Ok(response)
 }

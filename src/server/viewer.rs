@@ -25,10 +25,6 @@ use relume_capture::formats::{model_file, viewer_stream};
 use relume_train::render::stream_gaussians;
 
 const MEDIA_TYPE: HeaderValue = HeaderValue::from_static("application/octet-stream");
-/// A model never changes.
-const FOR_EVER: &str = "max-age=31536000, immutable";
-const AN_HOUR: &str = "max-age=3600";
-
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(stream)).routes(routes!(light))
@@ -58,13 +54,13 @@ async fn stream(
     let file = app.store.model_file(&caller.tenant, &id, MODEL_FILE).await?.ok_or_else(missing)?;
     let tag = etag(&identity(&file.sha256, ""));
     let bytes = match answer_without_bytes(&method, &headers, &tag) {
-        Some(response) => return described(response, &tag, &caller, FOR_EVER),
+        Some(response) => return described(response, &tag, &caller),
         None => {
             app.store.verified_model_file(&caller.tenant, &id, MODEL_FILE).await?.ok_or_else(missing)?;
             encoded(&app, &file).await?
         }
     };
-    described(bytes.into_response(), &tag, &caller, FOR_EVER)
+    described(bytes.into_response(), &tag, &caller)
 }
 
 /// The light.
@@ -114,14 +110,14 @@ async fn light(
     let light = named_light(&app, &caller.tenant, name, "query/environment").await?;
     let tag = etag(&identity(&model_hash, &format!("{}|{rotation_deg}|{with_map}", light.key())));
     if let Some(response) = answer_without_bytes(&method, &headers, &tag) {
-        return described(response, &tag, &caller, AN_HOUR);
+        return described(response, &tag, &caller);
     }
     let found = app.store.model(&caller.tenant, &id).await?;
     let gaussians = found.ok_or_else(|| Problem::not_found("model", id.as_str()))?.gaussians;
     // Held from the queue until the bytes are sent.
     let _permit = app.memory.reserve(memory::light_bytes(gaussians)).await?;
     let served = app.device.light(LightTask { model, light, rotation_deg, with_map }).await?;
-    described(served.answer.into_response(), &tag, &caller, AN_HOUR)
+    described(served.answer.into_response(), &tag, &caller)
 }
 
 /// A hash of everything that determines a stream.
@@ -138,9 +134,10 @@ fn answer_without_bytes(method: &Method, headers: &HeaderMap, tag: &str) -> Opti
     }
 }
 
-fn described(mut response: Response, tag: &str, caller: &Caller, age: &str) -> Result<Response, Problem> {
-    let scope = if caller.has_key { "private" } else { "public" };
-    let cache = HeaderValue::from_str(&format!("{scope}, {age}")).map_err(Problem::internal)?;
+/// A response with its headers. Caches ask again before each use, because a calibration replaces the files of a model.
+fn described(mut response: Response, tag: &str, caller: &Caller) -> Result<Response, Problem> {
+    let cache =
+        HeaderValue::from_static(if caller.has_key { "private, no-cache" } else { "public, no-cache" });
     let out = response.headers_mut();
     out.insert(header::ETAG, HeaderValue::from_str(tag).map_err(Problem::internal)?);
     out.insert(header::CACHE_CONTROL, cache);

@@ -22,6 +22,7 @@ impl Store {
     /// # Errors
     /// When the database or a file operation fails. The next run continues.
     pub async fn remove_deleted_files(&self, now_ms: i64) -> Result<DeletionReport, StoreError> {
+        self.discard_replaced(now_ms).await?;
         let things = self.discard_exports().await?
             + self.discard_models().await?
             + self.discard_jobs(now_ms).await?
@@ -78,7 +79,11 @@ impl Store {
         for (model, job) in &models {
             let query = "SELECT artifact FROM model_files WHERE model_id = $1";
             let files: Vec<String> = sql::query_scalar(query).bind(model).fetch_all(self.pool()).await?;
+            let parts = files.clone();
             self.remove_of_job(job, files).await?;
+            for file in parts {
+                self.prune_folder_of(&file).await?;
+            }
             let mut tx = self.write().await?;
             for delete in ["DELETE FROM model_files WHERE model_id = $1", "DELETE FROM models WHERE id = $1"]
             {

@@ -28,6 +28,7 @@ mod key_token;
 mod keys;
 mod leases;
 mod metadata;
+mod model_replacement;
 mod models;
 mod orphan_cleanup;
 mod ownership;
@@ -57,6 +58,7 @@ use std::sync::atomic::AtomicU64;
 use tokio::sync::Mutex;
 
 use database::{Database, DatabaseFile, DatabaseServer};
+use model_replacement::ReplacedArtifacts;
 use pending_quota::PendingQuota;
 use sql::{Pool, Sql, Tx};
 use uploads::UploadLocks;
@@ -82,6 +84,7 @@ pub use key_token::KeyToken;
 pub use keys::{NewKeyRecord, has_keys};
 pub use leases::Claimant;
 pub use metadata::Filter;
+pub use model_replacement::ModelReplacement;
 pub use orphan_cleanup::OrphanCleanup;
 pub use page::{InvalidCursor, Page, PageCursor, Paginated};
 pub use quality_result::QualityResult;
@@ -113,6 +116,8 @@ pub struct Store {
     pending_quota: PendingQuota,
     /// The locks of uploads.
     upload_locks: UploadLocks,
+    /// Replaced artifacts of models that are still to be removed.
+    replaced_artifacts: ReplacedArtifacts,
 }
 
 impl Store {
@@ -144,6 +149,7 @@ impl Store {
             publish_lock: Arc::default(),
             pending_quota: PendingQuota::default(),
             upload_locks: UploadLocks::default(),
+            replaced_artifacts: ReplacedArtifacts::default(),
         })
     }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use crate::store::exports::EXPORTS;
+use crate::store::model_replacement::MODELS;
 use crate::store::references::{artifact_keys, names, references};
 use crate::store::uploads::UPLOADS;
 use crate::store::{Store, StoreError, sql};
@@ -25,7 +26,7 @@ pub struct OrphanCleanup {
 }
 
 impl Store {
-    /// Removes leftover files of known jobs' attempts, of ended uploads and of exports. Moves files that the database does not
+    /// Removes leftover files of known jobs' attempts, of known models, of ended uploads and of exports. Moves files that the database does not
     /// know to the orphans folder for seven days, because the database may be an old copy. Keeps files that a remote worker has
     /// sent for the model that it is about to publish, and files with names that this program does not create. Does nothing if the
     /// database has never named an artifact. The caller must hold the lock of the data directory.
@@ -42,32 +43,39 @@ impl Store {
             "SELECT id, CASE WHEN state IN ('running', 'cancelling') THEN attempts ELSE 0 END FROM jobs";
         let jobs: Vec<(String, i64)> = sql::query_as(attempts).fetch_all(self.pool()).await?;
         let jobs: HashMap<String, i64> = jobs.into_iter().collect();
+        let models: Vec<String> = sql::query_scalar("SELECT id FROM models").fetch_all(self.pool()).await?;
+        let known = Known { named, jobs, models: models.into_iter().collect() };
         let root = self.artifacts.local_path("");
-        let swept = tokio::task::spawn_blocking(move || clean_up(&root, &named, &jobs, now)).await;
+        let swept = tokio::task::spawn_blocking(move || clean_up(&root, &known, now)).await;
         self.clear_export_folders().await?;
         Ok(swept.map_err(std::io::Error::other)??)
     }
 }
 
-/// `jobs` contains the number of the running attempt of each job; 0 if none is running.
-fn clean_up(
-    root: &Path,
-    named: &HashSet<String>,
-    jobs: &HashMap<String, i64>,
-    now: SystemTime,
-) -> std::io::Result<OrphanCleanup> {
+/// What the database knows.
+struct Known {
+    /// The keys of artifacts that it references.
+    named: HashSet<String>,
+    /// The number of the running attempt of each job; 0 if none is running.
+    jobs: HashMap<String, i64>,
+    /// The models.
+    models: HashSet<String>,
+}
+
+fn clean_up(root: &Path, known: &Known, now: SystemTime) -> std::io::Result<OrphanCleanup> {
     let mut swept = OrphanCleanup::default();
-    for key in artifact_keys(root)?.into_iter().filter(|key| !named.contains(key)) {
+    for key in artifact_keys(root)?.into_iter().filter(|key| !known.named.contains(key)) {
         let path = root.join(&key);
-        let can_be_had_again = key.starts_with(UPLOADS) || key.starts_with(EXPORTS);
-        let attempt = attempt_of(&key).map(|(job, number)| (jobs.get(job).copied(), number));
+        let is_of_a_model = model_of(&key).is_some_and(|model| known.models.contains(model));
+        let can_be_had_again = is_of_a_model || key.starts_with(UPLOADS) || key.starts_with(EXPORTS);
+        let attempt = attempt_of(&key).map(|(job, number)| (known.jobs.get(job).copied(), number));
         if let Some((Some(running), number)) = attempt
             && number == running
         {
             continue;
         }
         if can_be_had_again || matches!(attempt, Some((Some(_), _))) {
-            tracing::info!(key, "removed a leftover file of an attempt, an upload or an export");
+            tracing::info!(key, "removed a leftover file of an attempt, a model, an upload or an export");
             std::fs::remove_file(&path)?;
             swept.removed += 1;
         } else {
@@ -78,6 +86,7 @@ fn clean_up(
     }
     swept.removed += expire(&root.join(ORPHANS), now)?;
     prune(&root.join("attempts"))?;
+    prune(&root.join(MODELS))?;
     prune(&root.join(UPLOADS))?;
     prune(&root.join(EXPORTS))?;
     Ok(swept)
@@ -88,6 +97,11 @@ fn attempt_of(key: &str) -> Option<(&str, i64)> {
     let (job, rest) = key.strip_prefix("attempts/")?.split_once('/')?;
     // An invalid number matches no attempt.
     Some((job, rest.split('/').next()?.parse().unwrap_or(-1)))
+}
+
+/// The model in the key of a file.
+pub(super) fn model_of(key: &str) -> Option<&str> {
+    key.strip_prefix(MODELS)?.strip_prefix('/')?.split('/').next()
 }
 
 /// Moves a file and sets its modification time to `now`.

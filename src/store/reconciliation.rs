@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime};
 
 use crate::store::artifacts::Remote;
 use crate::store::exports::EXPORTS;
-use crate::store::orphan_cleanup::{ORPHAN_RETENTION, ORPHANS};
+use crate::store::orphan_cleanup::{ORPHAN_RETENTION, ORPHANS, model_of};
 use crate::store::references::{is_artifact_name, names, references};
 use crate::store::{Store, StoreError, sql};
 
@@ -26,7 +26,7 @@ pub struct ReconciliationReport {
 
 impl Store {
     /// Sends artifacts that the database references and that only this machine has to the object store. There it removes leftover
-    /// objects of known jobs' attempts and of exports, and moves objects that the database does not know to the orphans folder
+    /// objects of known jobs' attempts, of known models and of exports, and moves objects that the database does not know to the orphans folder
     /// for seven days. Does nothing without an object store, or if the database has never named an artifact. The caller must hold
     /// the lock of the data directory and be the only server on the database.
     ///
@@ -100,15 +100,20 @@ impl Store {
             return Ok(());
         }
         let job = key.strip_prefix("attempts/").and_then(|rest| rest.split('/').next());
-        let is_known = match job {
-            Some(job) => {
+        let is_known = match (job, model_of(key)) {
+            (Some(job), _) => {
                 let query = sql::query_scalar("SELECT EXISTS (SELECT 1 FROM jobs WHERE id = $1)").bind(job);
                 query.fetch_one(self.pool()).await?
             }
-            None => key.starts_with(EXPORTS),
+            (None, Some(model)) => {
+                let query =
+                    sql::query_scalar("SELECT EXISTS (SELECT 1 FROM models WHERE id = $1)").bind(model);
+                query.fetch_one(self.pool()).await?
+            }
+            (None, None) => key.starts_with(EXPORTS),
         };
         if is_known {
-            tracing::info!(key, "removed a leftover object of an attempt or an export");
+            tracing::info!(key, "removed a leftover object of an attempt, a model or an export");
             remote.remove(key).await?;
             report.removed += 1;
         } else {

@@ -7,6 +7,7 @@ use uuid::Uuid;
 
 use crate::store::StoreError;
 use crate::store::exports::EXPORTS;
+use crate::store::model_replacement::MODELS;
 use crate::store::sql::{self, On};
 use crate::store::uploads::UPLOADS;
 
@@ -55,6 +56,8 @@ pub(super) fn artifact_keys(artifacts: &Path) -> std::io::Result<Vec<String>> {
     }
     // attempts/JOB/NUMBER/FILE
     files(&artifacts.join("attempts"), "attempts", 2, &mut keys)?;
+    // models/MODEL/VERSION/FILE
+    files(&artifacts.join(MODELS), MODELS, 2, &mut keys)?;
     keys.retain(|key| is_artifact_name(key));
     keys.sort();
     Ok(keys)
@@ -66,7 +69,7 @@ pub(super) fn is_artifact_name(key: &str) -> bool {
     match parts[..] {
         ["captures" | "environments", name] => is_hash(name),
         [UPLOADS | EXPORTS, name] => Uuid::parse_str(name).is_ok(),
-        ["attempts", _, _, _] => true,
+        ["attempts" | MODELS, _, _, _] => true,
         _ => false,
     }
 }

@@ -79,6 +79,8 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("get", "/v1/models/{id}", One(Model), Read),
     ("patch", "/v1/models/{id}", One(Model), Submit),
     ("delete", "/v1/models/{id}", One(Model), Submit),
+    ("put", "/v1/models/{id}/calibration", One(Model), Submit),
+    ("delete", "/v1/models/{id}/calibration", One(Model), Submit),
     ("get", "/v1/models/{id}/card", One(Model), Read),
     ("get", "/v1/models/{id}/files/{name}", One(Model), Read),
     ("post", "/v1/models/{id}/exports", One(Model), Render),

@@ -8,6 +8,7 @@ use relume_api::jobs::JobState;
 use tempfile::TempDir;
 
 use crate::s3::bucket::Bucket;
+use crate::service_calibration::middle;
 use crate::service_support::{capture_zip, ended};
 use crate::workers::fleet::{Process, short_job, without_workers};
 
@@ -49,11 +50,21 @@ async fn on_postgres_replicas_train_and_render_and_refuse_uploads() {
         second.client().upload_capture_bytes(capture_zip()).await.map(drop),
         second.client().begin_upload(9).await.map(drop),
         second.client().delete_model(&model).await,
+        second.client().calibrate(&model, &middle([0.3; 3])).await.map(drop),
+        second.client().undo_calibration(&model).await.map(drop),
     ] {
         let error = refused.unwrap_err();
         let problem = error.problem().unwrap();
         assert_eq!((problem.status, problem.kind.as_str()), (421, "urn:relume:problem:first-server-only"));
     }
+    first.client().calibrate(&model, &middle([0.9, 0.2, 0.1])).await.unwrap();
+    let calibrated = third.client().thumbnail(&model, "size=64").await.unwrap();
+    assert_eq!(calibrated, first.client().thumbnail(&model, "size=64").await.unwrap());
+    let lit =
+        async |server: &TestServer| server.client().thumbnail(&model, "size=64&env=studio").await.unwrap();
+    let shown_calibrated = lit(&third).await;
+    first.client().undo_calibration(&model).await.unwrap();
+    assert_ne!(lit(&third).await, shown_calibrated, "what the first server changes is changed everywhere");
     first.client().delete_model(&model).await.unwrap();
     let gone = third.client().thumbnail(&model, "size=64").await.unwrap_err();
     assert_eq!(gone.problem().unwrap().status, 404, "what the first server deletes is gone everywhere");

@@ -8,7 +8,7 @@ import { createRequire } from 'node:module'
 import { chromium } from 'playwright-core'
 import { documentedApi } from './documentation.mjs'
 import { keyIsNotPolled, lostServer, refusedTraining, unknownPaths, wrongFiles } from './failures.mjs'
-import { dimmedLight, movedCamera, openedModel, takenAway, turnedLight } from './viewing.mjs'
+import { calibratedModel, dimmedLight, movedCamera, openedModel, takenAway, turnedLight } from './viewing.mjs'
 
 const [base, key, capture, light, site, photos, shots] = process.argv.slice(2)
 const axe = readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8')
@@ -210,6 +210,7 @@ await openedModel(page, page.getByRole('link', { name: 'Walk' }))
 await page.waitForFunction(() => location.hash.includes('azimuth'))
 await dimmedLight(page)
 await movedCamera(page)
+await calibratedModel(page)
 await turnedLight(page)
 await takenAway(page, base)
 const before = await page.evaluate(() => document.querySelector('relume-viewer').camera().azimuth)

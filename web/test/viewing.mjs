@@ -32,6 +32,51 @@ export async function openedModel(page, link) {
   await page.locator('.poster').waitFor({ state: 'detached' })
 }
 
+/** Calibrates the model by a patch, compares the pictures, and undoes it. */
+export async function calibratedModel(page) {
+  const albedo = () => page.evaluate(async () => {
+    const model = document.querySelector('relume-viewer').getAttribute('model')
+    const key = sessionStorage.getItem('relume-api-key')
+    const answer = await fetch(`v1/models/${model}`, { headers: key ? { Authorization: `Bearer ${key}` } : {} })
+    const { calibration, files } = await answer.json()
+    return { calibration, sha256: files.map((file) => file.sha256).join() }
+  })
+  const before = await albedo()
+  assert.equal(before.calibration, undefined)
+  await page.getByRole('button', { name: 'Choose a surface' }).click()
+  await page.getByRole('button', { name: 'Apply' }).click()
+  await page.getByRole('alert').getByText('No surface is chosen.').waitFor()
+  const panel = page.getByRole('region', { name: 'Calibrate colour' })
+  const picture = panel.locator('.patch img')
+  await picture.waitFor()
+  await picture.scrollIntoViewIfNeeded()
+  const box = await picture.boundingBox()
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2]
+  await page.mouse.move(x - 10, y - 10)
+  await page.mouse.down()
+  await page.mouse.move(x + 20, y + 10)
+  await page.mouse.up()
+  await panel.locator('.patch span').waitFor()
+  await panel.getByLabel('Surface', { exact: true }).selectOption('own')
+  const reflectance = panel.getByLabel('Reflectance, or red, green, blue')
+  await reflectance.fill('0.5, 2')
+  await page.getByRole('button', { name: 'Apply' }).click()
+  await page.getByRole('alert').getByText('The reflectance is one number or three').waitFor()
+  await reflectance.fill('0.5, 0.3, 0.2')
+  await page.getByRole('button', { name: 'Apply' }).click()
+  await panel.getByText('Calibrated to the reflectance 0.50, 0.30, 0.20.').waitFor()
+  const after = await albedo()
+  assert.notEqual(after.sha256, before.sha256)
+  assert.ok(after.calibration.patch.width > after.calibration.patch.height, 'the dragged rectangle')
+  await page.locator('.viewer-panel .mode').waitFor()
+  await page.getByRole('button', { name: 'Undo' }).click()
+  await panel.getByText('The calibration was undone.').waitFor()
+  await page.getByRole('button', { name: 'Undo' }).waitFor({ state: 'detached' })
+  assert.equal((await albedo()).calibration, undefined)
+  await page.locator('.viewer-panel .mode').waitFor()
+  await page.locator('.poster').waitFor({ state: 'detached' })
+}
+
 /** A chosen light dims the picture until it has arrived. */
 export async function dimmedLight(page) {
   const release = await held(page, /\/(light\?|render$)/)

@@ -183,6 +183,29 @@ def test_an_object_store_that_a_server_leads_to_is_not_told_the_key(tmp_path: Pa
     assert asked == [("127.0.0.1", True), ("objects.example", False)]
 
 
+def test_a_calibration_sends_the_patch_and_keeps_the_changed_model() -> None:
+    sent: list[tuple[str, str, Any]] = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        sent.append((request.method, request.url.path, json.loads(request.content or b"null")))
+        calibration = {"calibration": {"scale": [2, 2, 2]}} if request.method == "PUT" else {}
+        return httpx.Response(200, json={"id": "m", **calibration})
+
+    model = relume.Model(client(answer)._connection, {"id": "m"})
+    assert model.calibration is None
+    assert model.calibrate("a.jpg", (1, 2, 3, 4), 0.18) == {"scale": [2, 2, 2]} == model.calibration
+    model.calibrate("a.jpg", (1, 2, 3, 4), (0.1, 0.2, 0.3))
+    model.undo_calibration()
+    assert model.calibration is None
+    patch = {"photo": "a.jpg", "x": 1, "y": 2, "width": 3, "height": 4}
+    path = "/v1/models/m/calibration"
+    assert sent == [
+        ("PUT", path, {"patch": patch, "reflectance": 0.18}),
+        ("PUT", path, {"patch": patch, "reflectance": [0.1, 0.2, 0.3]}),
+        ("DELETE", path, None),
+    ]
+
+
 def test_an_orbit_looks_at_its_target_from_its_distance() -> None:
     look = relume.orbit(90, 0, 2.0, (1.0, 1.0, 1.0))["look_at"]
     assert look["eye"] == pytest.approx([1.0, 3.0, 1.0])

@@ -1,5 +1,6 @@
 //! Types of the HTTP API that server and client exchange: plain data, without HTTP code.
 
+pub mod calibration;
 pub mod cameras;
 pub mod captures;
 pub mod environments;

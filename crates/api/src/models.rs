@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::calibration::CalibrationView;
 use crate::metadata::ResourceMetadata;
 use crate::{CaptureId, JobId, ModelId};
 
@@ -34,6 +35,9 @@ pub struct ModelView {
     pub summary: ModelSummary,
     /// Files.
     pub files: Vec<FileView>,
+    /// The calibration by a surface of known reflectance. Absent if there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<CalibrationView>,
     /// Model card: training input, settings, and decisions with their evidence.
     #[schema(value_type = Object)]
     pub card: serde_json::Value,

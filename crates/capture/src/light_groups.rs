@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use glob::Pattern;
 
+use crate::light_rotations::is_named;
 use crate::{Capture, CaptureError, CaptureView};
 use relume_scene::MAX_LIGHT_GROUPS;
 
@@ -65,6 +66,12 @@ impl Capture {
         })
     }
 
+    /// Name of the light group of photograph `name`: the whole path in the capture or its last parts. `None` for a photograph that names none,
+    /// and without such a photograph.
+    pub fn light_group_of(&self, name: &str) -> Option<&str> {
+        self.views().find(|view| is_named(&view.name, name))?.light_group.as_deref()
+    }
+
     fn views(&self) -> impl Iterator<Item = &CaptureView> {
         self.train.iter().chain(&self.test)
     }
@@ -102,6 +109,8 @@ mod tests {
         assert_eq!(of, [day.clone(), day, None, None]);
         assert_eq!(capture.test[0].light_group.as_deref(), Some("night"));
         assert!(capture.has_light_groups(&stated));
+        assert_eq!(capture.light_group_of("train_001/rgba.png"), Some("day"));
+        assert_eq!(capture.light_group_of("train_003/rgba.png"), None, "the control");
         let end = Pattern::new("IMG_1?.jpg").unwrap();
         assert!(matches(&end, "images/IMG_12.jpg") && !matches(&end, "images/IMG_2.jpg"));
     }

@@ -9,6 +9,7 @@ use tokio_util::bytes::Bytes;
 use crate::connection::{Client, checked, json};
 use crate::download::Download;
 use crate::error::Result;
+use relume_api::calibration::NewCalibration;
 use relume_api::metadata::MetadataChange;
 use relume_api::models::{ModelSummary, ModelView};
 use relume_api::renders::RenderRequest;
@@ -30,6 +31,22 @@ impl Client {
     /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn change_model(&self, id: &ModelId, change: &MetadataChange) -> Result<ModelSummary> {
         json(self.request(Method::PATCH, &format!("/v1/models/{id}"))?.json(change)).await
+    }
+
+    /// Scales the albedo of a model to a surface of known reflectance. The files of the model change.
+    ///
+    /// # Errors
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
+    pub async fn calibrate(&self, id: &ModelId, calibration: &NewCalibration) -> Result<ModelView> {
+        json(self.request(Method::PUT, &format!("/v1/models/{id}/calibration"))?.json(calibration)).await
+    }
+
+    /// Undoes all calibrations of a model since its training.
+    ///
+    /// # Errors
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
+    pub async fn undo_calibration(&self, id: &ModelId) -> Result<ModelView> {
+        json(self.request(Method::DELETE, &format!("/v1/models/{id}/calibration"))?).await
     }
 
     /// The newest models.

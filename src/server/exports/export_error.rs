@@ -16,7 +16,7 @@ const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 /// Why an export does not succeed.
 #[derive(Debug)]
 pub(super) enum ExportError {
-    /// It was cancelled or deleted, or the server is stopping.
+    /// It was cancelled or deleted, its model was replaced, or the server is stopping.
     Unwanted,
     /// The disk is full or the database cannot be reached. The export continues when that has changed.
     Paused(StoreError),

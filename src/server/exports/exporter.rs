@@ -61,10 +61,10 @@ async fn run(app: &AppState, export: ClaimedExport) {
     token.cancel();
     let kept = match made {
         Ok(file) => publish(app, &id, file).await,
-        Err(ExportError::Unwanted) if app.stop.is_cancelled() => {
+        // Has an effect if the server stops, or if the model was replaced. An export that was cancelled or deleted stays so.
+        Err(ExportError::Unwanted) => {
             app.store.requeue_exports(Some(&id)).await.map(drop).map_err(ExportError::from)
         }
-        Err(ExportError::Unwanted) => Ok(()),
         Err(failed) => Err(failed),
     };
     match kept {

@@ -20,6 +20,8 @@ use relume_scene::Model;
 use relume_spec::rendering::{Background, FrameFormat};
 use relume_train::render::{EncodeOptions, FrameView, Viewpoint};
 
+/// File in the work folder with the hash of the model that the frames show.
+const MODEL_NOTE: &str = "model";
 /// Frames per second of a video without a given rate.
 const FPS: u32 = 24;
 
@@ -32,11 +34,12 @@ pub(super) async fn make(
 ) -> Result<ExportedFile, ExportError> {
     let up = models::world_of(app, &export.tenant, &export.model_id).await?;
     let plan = FramesPlan::of(app, &export.tenant, spec, up).await?;
-    let (model, _) = models::source(app, &export.tenant, &export.model_id).await?;
+    let (model, sha256) = models::source(app, &export.tenant, &export.model_id).await?;
     let plan = Arc::new(plan);
     let views = views(app, &plan, &export.tenant, &model).await?;
     let folder = app.store.export_folder(&export.id);
-    make_private(&folder)?;
+    let at = folder.clone();
+    run_blocking(move || Ok(keep_only_frames_of(&at, &sha256)?)).await?;
     let (mut names, mut bytes) = (Vec::with_capacity(views.len()), 0);
     for (index, view) in views.iter().enumerate() {
         let name = frame_name(index, plan.format);
@@ -60,6 +63,19 @@ pub(super) async fn make(
     // The disk contains both for a while; the quota of the tenant counts only one of them.
     app.store.admit_bytes(bytes).await?;
     package(app, export, spec, &folder, names, token).await
+}
+
+/// Creates the work folder. Frames of a model that was replaced since are removed from it.
+fn keep_only_frames_of(folder: &Path, sha256: &str) -> std::io::Result<()> {
+    let note = folder.join(MODEL_NOTE);
+    if std::fs::read_to_string(&note).is_ok_and(|noted| noted == sha256) {
+        return Ok(());
+    }
+    match std::fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error),
+        _ => make_private(folder)?,
+    }
+    std::fs::write(note, sha256)
 }
 
 /// File name of the frame with index `index`, from 0.

@@ -69,6 +69,14 @@ impl ExportQueue {
         }
     }
 
+    /// Stops exports that were returned to the queue, so that they begin again.
+    pub(in crate::server) fn begin_again(&self, exports: &[ExportId]) {
+        for id in exports {
+            self.stop(id);
+        }
+        self.wake();
+    }
+
     fn running(&self) -> MutexGuard<'_, HashMap<ExportId, CancellationToken>> {
         self.running.lock().unwrap_or_else(PoisonError::into_inner)
     }

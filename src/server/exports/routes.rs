@@ -15,7 +15,7 @@ use crate::server::caller::Caller;
 use crate::server::description::File;
 use crate::server::exports::request;
 use crate::server::extract::{LargeJson, QueryString, UrlPath};
-use crate::server::files::{self, FileRequest};
+use crate::server::files::{self, FileRequest, Freshness};
 use crate::server::idempotency;
 use crate::server::listing::PageQuery;
 use crate::server::problem::Problem;
@@ -200,7 +200,7 @@ async fn get_export_file(
 ) -> Result<Response, Problem> {
     let export = find(&app, &caller.tenant, &id).await?;
     let file = file_of(export).ok_or_else(|| Problem::not_found("file of export", id.as_str()))?;
-    let mut response = files::send(&app, &asked, &file, async || {
+    let mut response = files::send(&app, &asked, (&file, Freshness::ForEver), async || {
         match app.store.artifacts().verify(&file.artifact, &file.sha256).await {
             // The export was deleted in the meantime.
             Err(StoreError::Missing(_)) if app.store.export(&caller.tenant, &id).await?.is_none() => {

@@ -10,7 +10,7 @@ use crate::jobs::{InputFile, Lease};
 use crate::server::app::AppState;
 use crate::server::description::File;
 use crate::server::extract::UrlPath;
-use crate::server::files::{self, FileRequest};
+use crate::server::files::{self, FileRequest, Freshness};
 use crate::server::problem::Problem;
 use crate::server::workers::lease::Held;
 use crate::store::ModelFile;
@@ -136,5 +136,8 @@ async fn send(
         sha256: file.sha256.clone(),
         artifact: file.artifact.clone(),
     };
-    files::send(app, asked, &described, async || Ok(lease.bring(&file).await.map(drop)?)).await
+    files::send(app, asked, (&described, Freshness::ForEver), async || {
+        Ok(lease.bring(&file).await.map(drop)?)
+    })
+    .await
 }

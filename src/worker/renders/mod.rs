@@ -64,7 +64,7 @@ impl From<RenderError> for RenderFailure {
 /// A model to render.
 #[derive(Debug, Clone)]
 pub struct ModelSource {
-    /// Identifier. For a file it is also the cache key, because a published model never changes.
+    /// Identifier.
     pub id: ModelId,
     /// Its content.
     pub content: ModelContent,
@@ -73,7 +73,8 @@ pub struct ModelSource {
 /// The content of a model.
 #[derive(Clone)]
 pub enum ModelContent {
-    /// A model file on this machine. It stays in the cache after a frame.
+    /// A model file on this machine. It stays in the cache after a frame. The path is the cache key: the file at a path never
+    /// changes, and a model whose files are replaced has another path.
     File(PathBuf),
     /// A model in memory, which is not cached.
     Memory(Arc<Model>),
@@ -137,8 +138,8 @@ impl RenderTask {
     }
 }
 
-/// Model, light, and the bits of the rotation. The exposure is not included, because the prepared light is linear in it.
-type LightKey = (ModelId, String, u64);
+/// Model file, light, and the bits of the rotation. The exposure is not included, because the prepared light is linear in it.
+type LightKey = (PathBuf, String, u64);
 
 /// An entry of a cache. It is locked while it is made, so that two threads do not make the same entry.
 type Slot<T> = Arc<Mutex<Option<Arc<T>>>>;
@@ -146,7 +147,7 @@ type Slot<T> = Arc<Mutex<Option<Arc<T>>>>;
 /// The most recently used models and lights, shared by the threads. While one thread loads a model or prepares a light, the
 /// others can use finished entries.
 pub(super) struct RenderCache {
-    models: Mutex<LruCache<ModelId, Slot<Renderer>>>,
+    models: Mutex<LruCache<PathBuf, Slot<Renderer>>>,
     lights: Mutex<LruCache<LightKey, Slot<PreparedLight>>>,
 }
 
@@ -194,11 +195,11 @@ impl RenderCache {
         is_wanted: &dyn Fn() -> bool,
     ) -> Result<Arc<Renderer>, RenderFailure> {
         check_wanted(is_wanted)?;
-        // A model in memory is not cached, because it would evict reusable entries.
-        if let ModelContent::Memory(_) = source.content {
+        let ModelContent::File(path) = &source.content else {
+            // A model in memory is not cached, because it would evict reusable entries.
             return load(source, device);
-        }
-        let renderer = get_or_make(&self.models, &source.id, || load(source, device))?;
+        };
+        let renderer = get_or_make(&self.models, path, || load(source, device))?;
         self.drop_lights_of_evicted_models();
         Ok(renderer)
     }
@@ -222,10 +223,10 @@ impl RenderCache {
         is_wanted: &dyn Fn() -> bool,
     ) -> Result<Arc<PreparedLight>, RenderFailure> {
         check_wanted(is_wanted)?;
-        if let ModelContent::Memory(_) = model.content {
+        let ModelContent::File(path) = &model.content else {
             return prepare(renderer, light, rotation_deg);
-        }
-        let key = (model.id.clone(), light.key(), rotation_deg.to_bits());
+        };
+        let key = (path.clone(), light.key(), rotation_deg.to_bits());
         let light = get_or_make(&self.lights, &key, || prepare(renderer, light, rotation_deg))?;
         check_wanted(is_wanted)?;
         Ok(light)

@@ -226,11 +226,14 @@ fn a_model_that_fails_to_load_is_not_cached() {
 fn an_evicted_model_takes_its_lights_with_it() {
     let folder = tempfile::TempDir::new().unwrap();
     let first = model(&folder);
-    let second = ModelSource { id: "second".into(), ..first.clone() };
+    let path = folder.path().join("second.safetensors");
+    std::fs::copy(folder.path().join("model.safetensors"), &path).unwrap();
+    let second = ModelSource { id: "second".into(), content: ModelContent::File(path) };
     let cache = RenderCache::new(1, 4);
-    let cached_models = || lock(&cache.lights).iter().map(|(key, _)| key.0.to_string()).collect::<Vec<_>>();
+    let name = |key: &LightKey| key.0.file_name().unwrap().to_string_lossy().into_owned();
+    let cached_models = || lock(&cache.lights).iter().map(|(key, _)| name(key)).collect::<Vec<_>>();
     render(&cache, &task(&first, Tier::Preview, 0.0)).unwrap();
-    assert_eq!(cached_models(), ["model"], "the control: the light of a cached model stays");
+    assert_eq!(cached_models(), ["model.safetensors"], "the control: the light of a cached model stays");
     render(&cache, &task(&second, Tier::Preview, 0.0)).unwrap();
-    assert_eq!(cached_models(), ["second"]);
+    assert_eq!(cached_models(), ["second.safetensors"]);
 }

@@ -92,6 +92,12 @@ export async function post<T>(path: string, body?: unknown, headers: Record<stri
   return (await ask(path, { method: 'POST', ...json })).json() as Promise<T>
 }
 
+/** @throws {Refused} */
+export async function put<T>(path: string, body: unknown): Promise<T> {
+  const init = { method: 'PUT', body: JSON.stringify(body), headers: { 'Content-Type': 'application/json' } }
+  return (await ask(path, init)).json() as Promise<T>
+}
+
 /** Changes fields of a resource by a JSON merge patch. @throws {Refused} */
 export async function patch<T>(path: string, body: unknown): Promise<T> {
   const init = { method: 'PATCH', body: JSON.stringify(body), headers: { 'Content-Type': 'application/json' } }

@@ -29,6 +29,8 @@ const KINDS: Record<string, Omit<PageError, 'detail'>> = {
   'incomplete-body': { what: 'The transfer broke off.', remedy: 'Check the connection, then try again.' },
   'in-use': { what: 'Something else still needs this.', remedy: 'Delete that first.' },
   'stored-before': { what: 'The server already has a capture with the same files.', remedy: 'Use that capture.' },
+  'capture-deleted': { what: 'The photographs of this model were deleted.', remedy: 'Calibrate the downloaded model with the program relume.' },
+  'no-materials': { what: 'This model has colours only.', remedy: 'Train the capture again with materials.' },
   'capture-validating': { what: 'The server is still checking this capture.', remedy: 'Try again in a moment.' },
   'no-poses': { what: 'COLMAP could not find out where the photographs were taken.', remedy: 'Photograph again: walk around the subject in small steps, keep the camera still for each photograph, and keep something with texture in view.' },
   'storage-failed': { what: 'The disk of the server failed.', remedy: 'Tell the operator of the server.' },

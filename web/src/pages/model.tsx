@@ -2,6 +2,7 @@ import { useCallback, useEffect, useState } from 'preact/hooks'
 import { ask, patch, remove } from '../api/client'
 import { explain, type PageError } from '../api/page-error'
 import type { Environments, Model } from '../api/types'
+import { Calibration } from '../components/calibration'
 import { Choices, Facts, Failure, Head, Missing, save, Slider } from '../components/common'
 import { Lights } from '../components/lights'
 import { LightComparison } from '../components/light-comparison'
@@ -41,6 +42,8 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
   }
   const back = { to: link(['models']), label: 'Models' }
   if (error && !model) return <Missing what="model" back={back} error={error} retry={reload} />
+  // Another version after a calibration: all pictures are loaded again.
+  const version = model?.files.map((file) => file.sha256).join()
   const rename = (name: string) => patch(`v1/models/${encodeURIComponent(id)}`, { name }).then(reload)
   return (
     <>
@@ -51,16 +54,16 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
       {model ? (
         <div class="viewing">
           <div class="stack">
-            <ViewerPanel model={model} look={look} query={query} lights={lights.data} onView={seen} view={view} onRotation={(rotation) => change({ rotation })} />
-            <LightComparison model={id} view={view} lights={lights.data} onChange={(light) => change({ light })} />
+            <ViewerPanel key={`viewer ${version}`} model={model} look={look} query={view ? new URLSearchParams(written(look, view, centre)) : query} lights={lights.data} onView={seen} view={view} onRotation={(rotation) => change({ rotation })} />
+            <LightComparison key={`lights ${version}`} model={id} view={view} lights={lights.data} onChange={(light) => change({ light })} />
             <section class="card stack" aria-labelledby="wipe">
               <h2 id="wipe">Against a photograph</h2>
-              <Wipe model={id} capture={model.capture} look={look} lights={lights.data} />
+              <Wipe key={`wipe ${version}`} model={id} capture={model.capture} look={look} lights={lights.data} />
             </section>
           </div>
           <div class="stack">
             <section class="card stack look" aria-label="Look">
-              <Lights model={id} value={look.light} lights={lights.data} onChange={(light) => change({ light })} onAdded={lights.reload} />
+              <Lights key={`choices ${version}`} model={id} value={look.light} lights={lights.data} onChange={(light) => change({ light })} onAdded={lights.reload} />
               <Slider label="Turn the light" value={look.rotation} min={-180} max={180} step={5} unit="°" onInput={(rotation) => change({ rotation })} />
               <Slider label="Exposure" value={look.exposure} min={-4} max={4} step={0.25} unit=" EV" onInput={(exposure) => change({ exposure })} />
               <Background value={look.background} onChange={(background) => change({ background })} />
@@ -70,6 +73,7 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
               </details>
             </section>
             <Figures of={model} />
+            <Calibration model={model} onDone={reload} />
             <TakeAlong model={model.id} look={look} view={view} lights={lights.data} />
             <Files of={model} onError={setFailed} />
           </div>
@@ -123,7 +127,7 @@ function Figures({ of: model }: { of: Model }) {
 
 function Files({ of: model, onError }: { of: Model; onError: (error: PageError) => void }) {
   // `fetch` sends the API key; a link does not.
-  const fetchFile = (href: string, name: string) => ask(href).then((answer) => answer.blob()).then((blob) => save(blob, name), (error: unknown) => onError(explain(error)))
+  const fetchFile = (href: string, name: string) => ask(href, { cache: 'no-cache' }).then((answer) => answer.blob()).then((blob) => save(blob, name), (error: unknown) => onError(explain(error)))
   return (
     <section class="card" aria-labelledby="files">
       <h2 id="files">Files</h2>

@@ -92,7 +92,8 @@ export class Frames {
   async #ask(path: string, init: RequestInit = {}): Promise<Response> {
     const headers = { ...this.#headers, ...init.headers }
     const signal = init.signal ? AbortSignal.any([init.signal, this.#closed.signal]) : this.#closed.signal
-    const answer = await fetch(`${this.#server}v1/${path}`, { ...init, headers, signal })
+    // A calibration changes the model; the server answers 304 while it has not changed.
+    const answer = await fetch(`${this.#server}v1/${path}`, { cache: 'no-cache', ...init, headers, signal })
     if (answer.ok) return answer
     const problem = (await answer.json().catch(() => null)) as components['schemas']['Problem'] | null
     throw new Error(problem?.detail ?? problem?.title ?? `the server answered ${answer.status}`)

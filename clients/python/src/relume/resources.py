@@ -214,6 +214,28 @@ class Model(Resource):
         card: dict[str, Any] = self._connection.json("GET", self._at("/card"))
         return card
 
+    @property
+    def calibration(self) -> dict[str, Any] | None:
+        """The calibration by a surface of known reflectance, as it was last asked for; None if there is none."""
+        calibration: dict[str, Any] | None = self.data.get("calibration")
+        return calibration
+
+    def calibrate(self, photo: str, rectangle: tuple[int, int, int, int], reflectance: float | Sequence[float]) -> dict[str, Any]:
+        """Scales the albedo to a surface of known linear `reflectance`, 0.01 to 1: one number, or red, green and blue.
+
+        `photo` is a photograph of the model's capture, and `rectangle` its part with the surface: left, top, width and height in pixels of
+        the stored photograph. The light is divided by the same factors. The files of the model change. Gives the calibration.
+        """
+        x, y, width, height = rectangle
+        patch = {"photo": photo, "x": x, "y": y, "width": width, "height": height}
+        known = reflectance if isinstance(reflectance, (int, float)) else list(reflectance)
+        self.data = self._connection.json("PUT", self._at("/calibration"), json={"patch": patch, "reflectance": known})
+        return self.calibration or {}
+
+    def undo_calibration(self) -> None:
+        """Undoes all calibrations since the training."""
+        self.data = self._connection.json("DELETE", self._at("/calibration"))
+
     def render(
         self,
         camera: Camera,

@@ -3,7 +3,9 @@
 use glam::{DVec3, Vec3};
 use serde::Serialize;
 
-use crate::calibration::{AlbedoViewer, CalibrationError, MIN_ALBEDO, scale_by};
+use crate::calibration::{
+    AlbedoViewer, CalibrationError, CalibrationTime, MIN_ALBEDO, covered_albedo, history, scale_model,
+};
 use relume_capture::{ChartPatch, DeltaE};
 use relume_engine::Device;
 use relume_scene::Model;
@@ -32,12 +34,13 @@ pub fn calibrate_by_chart(
     model: &mut Model,
     patches: &[ChartPatch],
     device: &Device,
+    time: CalibrationTime,
 ) -> Result<ChartCalibration, CalibrationError> {
     let viewer = AlbedoViewer::new(model, device)?;
     let mut covered = Vec::new();
     for patch in patches {
         let Some(camera) = &patch.camera else { continue };
-        match viewer.mean(camera) {
+        match covered_albedo(&viewer.frame(camera)?) {
             Ok(albedo) => covered.push((patch, Vec3::from(albedo))),
             Err(CalibrationError::NotCovered(_)) => {}
             Err(error) => return Err(error),
@@ -66,10 +69,9 @@ pub fn calibrate_by_chart(
     let (before, after) = (difference(Vec3::ONE)?, difference(scale)?);
     let calibration =
         ChartCalibration { scale: scale.to_array(), neutral_patches, patches: covered.len(), before, after };
-    scale_by(model, calibration.scale);
-    if model.card.is_object() {
-        model.card["calibration"] = serde_json::json!({ "chart": calibration, "scale": calibration.scale });
-    }
+    scale_model(model, calibration.scale);
+    let entry = serde_json::json!({ "chart": calibration, "scale": calibration.scale });
+    history::record(model, entry, calibration.scale, time);
     Ok(calibration)
 }
 
@@ -94,7 +96,8 @@ mod tests {
             patch(9.0, [0.9, 0.9, 0.9], true),
             ChartPatch { camera: None, ..patch(0.0, [0.9, 0.9, 0.9], true) },
         ];
-        let done = calibrate_by_chart(&mut model, &patches, &Device::Cpu).unwrap();
+        let done =
+            calibrate_by_chart(&mut model, &patches, &Device::Cpu, CalibrationTime::InTraining).unwrap();
         assert_eq!((done.neutral_patches, done.patches), (2, 3));
         let wanted = [0.2 / ALBEDO[0], 0.19 / ALBEDO[1], 0.21 / ALBEDO[2]];
         assert!(largest_difference(&done.scale, &wanted) < 5e-3, "{done:?}");
@@ -105,7 +108,8 @@ mod tests {
             model.prototypes
         );
         assert_eq!(model.card["calibration"]["chart"]["neutral_patches"], 2);
-        let neutral = calibrate_by_chart(&mut model, &patches[..2], &Device::Cpu).unwrap();
+        let neutral =
+            calibrate_by_chart(&mut model, &patches[..2], &Device::Cpu, CalibrationTime::InTraining).unwrap();
         assert!(
             neutral.before.max < 0.5 && largest_difference(&neutral.scale, &[1.0; 3]) < 1e-3,
             "{neutral:?}"
@@ -117,11 +121,18 @@ mod tests {
     fn charts_that_the_model_does_not_cover_are_refused() {
         let mut model = disc();
         let patches = [patch(9.0, [0.2; 3], true), patch(0.0, [0.9, 0.1, 0.1], false)];
-        let error = calibrate_by_chart(&mut model, &patches, &Device::Cpu).unwrap_err();
+        let error =
+            calibrate_by_chart(&mut model, &patches, &Device::Cpu, CalibrationTime::InTraining).unwrap_err();
         assert!(matches!(error, CalibrationError::NoNeutralPatch), "{error}");
         assert_eq!(model, disc(), "unchanged");
         model.prototypes = vec![[0.4, 0.001, 0.4]];
-        let dark = calibrate_by_chart(&mut model, &[patch(0.0, [0.2; 3], true)], &Device::Cpu).unwrap_err();
+        let dark = calibrate_by_chart(
+            &mut model,
+            &[patch(0.0, [0.2; 3], true)],
+            &Device::Cpu,
+            CalibrationTime::InTraining,
+        )
+        .unwrap_err();
         assert!(matches!(dark, CalibrationError::TooDark(_)), "{dark}");
     }
 }

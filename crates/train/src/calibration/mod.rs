@@ -4,12 +4,14 @@
 //! albedo is multiplied by a number per channel, and the light divided by it.
 
 mod chart;
+mod history;
 
 use std::sync::Arc;
 
 use serde::Serialize;
+use serde_json::json;
 
-use crate::render::{PreparedLight, RenderError, Renderer};
+use crate::render::{Frame, PreparedLight, RenderError, Renderer};
 use relume_engine::{Device, DeviceError};
 use relume_scene::{Camera, Field, Model, softplus, softplus_inverse};
 use relume_spec::rendering::{Output, Tier};
@@ -21,6 +23,7 @@ const MIN_COVERAGE: f32 = 0.5;
 const MIN_ALBEDO: f32 = 0.005;
 
 pub use chart::{ChartCalibration, calibrate_by_chart};
+pub use history::{CalibrationTime, total_scale, undo_calibration};
 
 /// A calibration by one patch.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -63,7 +66,8 @@ pub enum CalibrationError {
     Device(#[from] DeviceError),
 }
 
-/// Calibrates `model` by the surface that `patch` sees, whose `reflectance` is known.
+/// Calibrates `model` by the surface that `patch` sees, whose `reflectance` is known. This is a part of a training, so
+/// [`undo_calibration`] does not undo it.
 ///
 /// # Errors
 /// [`CalibrationError`] names the patch or the reflectance. The model is then unchanged.
@@ -73,33 +77,88 @@ pub fn calibrate(
     reflectance: [f32; 3],
     device: &Device,
 ) -> Result<Calibration, CalibrationError> {
-    if let Some(bad) = reflectance.iter().find(|r| !GreyCard::REFLECTANCE.contains(*r)) {
-        return Err(CalibrationError::Reflectance(*bad));
-    }
-    let albedo_before = albedo_in(model, patch, device)?;
-    if let Some(dark) = albedo_before.iter().find(|v| !(**v >= MIN_ALBEDO)) {
-        return Err(CalibrationError::TooDark(*dark));
-    }
-    let scale = std::array::from_fn(|c| reflectance[c] / albedo_before[c]);
-    scale_by(model, scale);
-    let calibration = Calibration { reflectance, albedo_before, scale };
-    if model.card.is_object() {
-        model.card["calibration"] = serde_json::json!(calibration);
-    }
+    check(model, reflectance)?;
+    let albedo_before = measure_albedo(model, patch, device)?;
+    let calibration = Calibration::of(reflectance, albedo_before);
+    scale_model(model, calibration.scale);
+    history::record(model, json!(calibration), calibration.scale, CalibrationTime::InTraining);
     Ok(calibration)
 }
 
-/// Multiplies the albedo of `model` and divides its light, by channel.
-fn scale_by(model: &mut Model, scale: [f32; 3]) {
-    *model = with_scaled_albedo(model, scale);
+/// Calibrates a finished model by a surface of known `reflectance`. `albedo` is the mean albedo of the model there, or why there is
+/// none ([`measure_albedo`], [`patch_albedo`]).
+///
+/// The model card gets the [`Calibration`] with what [`CalibrationTime::Finished`] adds.
+///
+/// # Errors
+/// The error of `albedo`, or [`CalibrationError`] that names the reflectance or the lack of materials. The model is then unchanged.
+pub fn calibrate_finished(
+    model: &mut Model,
+    albedo: Result<[f32; 3], CalibrationError>,
+    reflectance: [f32; 3],
+) -> Result<Calibration, CalibrationError> {
+    check(model, reflectance)?;
+    let calibration = Calibration::of(reflectance, albedo?);
+    scale_model(model, calibration.scale);
+    history::record(model, json!(calibration), calibration.scale, CalibrationTime::Finished);
+    Ok(calibration)
+}
+
+impl Calibration {
+    fn of(reflectance: [f32; 3], albedo_before: [f32; 3]) -> Self {
+        let scale = std::array::from_fn(|c| reflectance[c] / albedo_before[c]);
+        Self { reflectance, albedo_before, scale }
+    }
+}
+
+fn check(model: &Model, reflectance: [f32; 3]) -> Result<(), CalibrationError> {
+    if let Some(bad) = reflectance.iter().find(|r| !GreyCard::REFLECTANCE.contains(*r)) {
+        return Err(CalibrationError::Reflectance(*bad));
+    }
+    if model.has_materials() { Ok(()) } else { Err(CalibrationError::NoMaterials) }
+}
+
+/// Multiplies the albedo by `scale` and divides the light by it.
+fn scale_model(model: &mut Model, scale: [f32; 3]) {
+    scale_albedo(model, scale);
     for raw in &mut model.env_raw {
         *raw = std::array::from_fn(|c| softplus_inverse(softplus(raw[c]) / scale[c]));
     }
 }
 
-/// Mean albedo of `model` in the picture of `patch`.
-fn albedo_in(model: &Model, patch: &Camera, device: &Device) -> Result<[f32; 3], CalibrationError> {
-    AlbedoViewer::new(model, device)?.mean(patch)
+/// Mean albedo of `model` in the picture of `patch`, linear Rec.709.
+///
+/// # Errors
+/// [`CalibrationError`] names the patch or the lack of materials, or is that of the renderer.
+pub fn measure_albedo(model: &Model, patch: &Camera, device: &Device) -> Result<[f32; 3], CalibrationError> {
+    patch_albedo(&AlbedoViewer::new(model, device)?.frame(patch)?)
+}
+
+/// Mean albedo in a frame with [`Output::Albedo`], linear Rec.709, weighted with the coverage.
+///
+/// # Errors
+/// [`CalibrationError`] names the patch if the frame shows too little of the model, or if it is too dark there.
+pub fn patch_albedo(frame: &Frame) -> Result<[f32; 3], CalibrationError> {
+    let mean = covered_albedo(frame)?;
+    match mean.iter().find(|v| !(**v >= MIN_ALBEDO)) {
+        Some(dark) => Err(CalibrationError::TooDark(*dark)),
+        None => Ok(mean),
+    }
+}
+
+/// Mean albedo in a frame, however dark, weighted with the coverage.
+///
+/// # Errors
+/// [`CalibrationError::NotCovered`] without a surface there.
+fn covered_albedo(frame: &Frame) -> Result<[f32; 3], CalibrationError> {
+    let plane = |output| frame.planes.get(&output).map_or(&[][..], Vec::as_slice);
+    let (albedo, alpha) = (plane(Output::Albedo).as_chunks::<3>().0, plane(Output::Alpha));
+    let covered: f32 = alpha.iter().sum();
+    let coverage = covered / alpha.len().max(1) as f32;
+    if !(coverage >= MIN_COVERAGE) {
+        return Err(CalibrationError::NotCovered(coverage));
+    }
+    Ok(std::array::from_fn(|c| albedo.iter().zip(alpha).map(|(v, a)| v[c] * a).sum::<f32>() / covered))
 }
 
 /// Renders the albedo of a model.
@@ -118,20 +177,9 @@ impl AlbedoViewer {
         Ok(Self { renderer, light })
     }
 
-    /// Mean albedo in the picture of `patch`.
-    ///
-    /// # Errors
-    /// [`CalibrationError::NotCovered`] without a surface there.
-    fn mean(&self, patch: &Camera) -> Result<[f32; 3], CalibrationError> {
-        let frame = self.renderer.render(patch, &self.light, Tier::Standard, &[Output::Albedo])?;
-        let plane = |output| frame.planes.get(&output).map_or(&[][..], Vec::as_slice);
-        let (albedo, alpha) = (plane(Output::Albedo).as_chunks::<3>().0, plane(Output::Alpha));
-        let covered: f32 = alpha.iter().sum();
-        let coverage = covered / alpha.len().max(1) as f32;
-        if !(coverage >= MIN_COVERAGE) {
-            return Err(CalibrationError::NotCovered(coverage));
-        }
-        Ok(std::array::from_fn(|c| albedo.iter().zip(alpha).map(|(v, a)| v[c] * a).sum::<f32>() / covered))
+    /// The albedo in the picture of `patch`.
+    fn frame(&self, patch: &Camera) -> Result<Frame, CalibrationError> {
+        Ok(self.renderer.render(patch, &self.light, Tier::Standard, &[Output::Albedo])?)
     }
 }
 
@@ -139,12 +187,16 @@ impl AlbedoViewer {
 /// so both are multiplied and nothing else changes.
 pub(crate) fn with_scaled_albedo(model: &Model, scale: [f32; 3]) -> Model {
     let mut scaled = model.clone();
-    for prototype in &mut scaled.prototypes {
+    scale_albedo(&mut scaled, scale);
+    scaled
+}
+
+fn scale_albedo(model: &mut Model, scale: [f32; 3]) {
+    for prototype in &mut model.prototypes {
         (0..3).for_each(|k| prototype[k] *= scale[k]);
     }
-    let residuals = scaled.gaussians.field_mut(Field::Residual);
+    let residuals = model.gaussians.field_mut(Field::Residual);
     residuals.iter_mut().enumerate().for_each(|(i, v)| *v *= scale[i % 3]);
-    scaled
 }
 
 #[cfg(test)]
@@ -179,7 +231,7 @@ mod tests {
         model.card = serde_json::json!({});
         let done = calibrate(&mut model, &above(0.0), wanted, &Device::Cpu).unwrap();
         assert!(largest_difference(&done.albedo_before, &ALBEDO) < 1e-3, "{done:?}");
-        let after = albedo_in(&model, &above(0.0), &Device::Cpu).unwrap();
+        let after = measure_albedo(&model, &above(0.0), &Device::Cpu).unwrap();
         assert!(largest_difference(&after, &wanted) < 1e-3, "{after:?}");
         assert!(largest_difference(&ALBEDO, &wanted) > 0.1, "the control: the albedo before");
         for c in 0..3 {
@@ -187,6 +239,54 @@ mod tests {
             assert!((reflected(&model) / reflected(&before) - 1.0).abs() < 1e-3);
         }
         assert_eq!(model.card["calibration"]["reflectance"], serde_json::json!(wanted));
+    }
+
+    /// The largest relative difference of albedo and light between two discs.
+    fn largest_change(a: &Model, b: &Model) -> f64 {
+        let values = |m: &Model| [m.prototypes[0], m.env_raw[0].map(softplus), m.env_raw[7].map(softplus)];
+        let ratios: Vec<f32> =
+            values(a).iter().flatten().zip(values(b).iter().flatten()).map(|(a, b)| a / b).collect();
+        largest_difference(&ratios, &[1.0; 9])
+    }
+
+    #[test]
+    fn calibrations_since_the_training_are_undone_together() {
+        let mut model = disc();
+        model.card = json!({ "steps": 7 });
+        calibrate(&mut model, &above(0.0), [0.5; 3], &Device::Cpu).unwrap();
+        let trained = model.clone();
+        assert!(!undo_calibration(&mut model), "the calibration of a training stays");
+        assert_eq!(model, trained);
+        for wanted in [[0.9, 0.1, 0.2], [0.3, 0.8, 0.05], [0.18; 3]] {
+            let albedo = measure_albedo(&model, &above(0.0), &Device::Cpu);
+            calibrate_finished(&mut model, albedo, wanted).unwrap();
+            let after = measure_albedo(&model, &above(0.0), &Device::Cpu).unwrap();
+            assert!(largest_difference(&after, &wanted) < 1e-3, "{after:?}");
+        }
+        assert_eq!(model.card["calibration"]["in_training"], trained.card["calibration"]);
+        assert!(largest_change(&model, &trained) > 0.5, "the control");
+        assert!(undo_calibration(&mut model));
+        assert_eq!(model.card, trained.card);
+        assert!(largest_change(&model, &trained) < 1e-5);
+
+        model.card = json!({ "steps": 7 });
+        let albedo = measure_albedo(&model, &above(0.0), &Device::Cpu);
+        calibrate_finished(&mut model, albedo, [0.3; 3]).unwrap();
+        assert!(undo_calibration(&mut model) && !undo_calibration(&mut model));
+        assert_eq!(model.card, json!({ "steps": 7 }));
+    }
+
+    #[test]
+    fn finished_model_is_unchanged_by_a_refused_calibration() {
+        let mut model = disc();
+        model.card = json!({ "calibration": { "total_scale": [1.0, 0.0, 1.0] } });
+        let before = model.clone();
+        assert!(!undo_calibration(&mut model), "a factor of 0 cannot be undone");
+        let dark = calibrate_finished(&mut model, Err(CalibrationError::TooDark(0.0)), [0.2; 3]);
+        assert!(matches!(dark, Err(CalibrationError::TooDark(_))));
+        let range = calibrate_finished(&mut model, Ok([0.2; 3]), [0.2, 0.2, 1.5]);
+        assert!(matches!(range, Err(CalibrationError::Reflectance(_))));
+        assert_eq!(model, before);
     }
 
     #[test]

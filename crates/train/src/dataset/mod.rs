@@ -46,6 +46,8 @@ pub struct Dataset {
     pub light_groups: Vec<String>,
     /// Light of each light group relative to the mean light; its photographs are divided by the level.
     pub relative_lights: Vec<RelativeLight>,
+    /// The light group of the photograph that shows the grey card or the colour chart.
+    pub reference_group: Option<usize>,
     /// True when the photographs have masks.
     pub has_alpha: bool,
     /// Names of the photographs.
@@ -84,6 +86,12 @@ impl Dataset {
         let names = capture.train.iter().map(|view| view.name.clone()).collect();
         let cache = PhotoCache::new(cache_bytes(photos.iter().map(|p| p.decoded_bytes(PhotoSize::Full))));
         let (card, chart) = (capture.grey_card, capture.colour_chart.clone());
+        let grey_card = config.grey_card.as_ref().map(|card| &card.photo);
+        let shown_in = grey_card.or(config.colour_chart.as_ref().map(|chart| &chart.photo));
+        let reference_group = shown_in.and_then(|photo| {
+            let group = capture.light_group_of(photo).unwrap_or(light_groups::DEFAULT_GROUP);
+            light_groups.iter().position(|name| name == group)
+        });
         let mut data = Self {
             photos,
             cache,
@@ -93,6 +101,7 @@ impl Dataset {
             lights,
             light_groups,
             relative_lights: Vec::new(),
+            reference_group,
             has_alpha,
             names,
             range,
@@ -131,6 +140,7 @@ impl Dataset {
             lights: PhotoLights::default(),
             light_groups: vec![light_groups::DEFAULT_GROUP.to_owned()],
             relative_lights: vec![RelativeLight::default()],
+            reference_group: None,
             has_alpha: false,
             names: Vec::new(),
             range: DisplayRange::Unit,

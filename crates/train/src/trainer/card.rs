@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::calibration::{calibrate, calibrate_by_chart};
+use crate::calibration::{CalibrationTime, calibrate, calibrate_by_chart};
 use crate::dataset::Gain;
 use crate::time_budget::plan_card;
 use crate::trainer::Trainer;
@@ -49,7 +49,8 @@ impl Trainer {
     fn calibrate(&self, model: &mut Model) {
         let has_level = self.config.colour_chart.as_ref().is_some_and(|chart| chart.level);
         if let Some(chart) = self.data.chart.as_ref().filter(|_| has_level)
-            && let Err(error) = calibrate_by_chart(model, &chart.patches, &Device::Cpu)
+            && let Err(error) =
+                calibrate_by_chart(model, &chart.patches, &Device::Cpu, CalibrationTime::InTraining)
         {
             model.card["calibration"] = serde_json::json!({ "error": error.to_string() });
         }

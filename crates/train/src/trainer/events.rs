@@ -92,6 +92,10 @@ impl Trainer {
     /// Initialises the light and the materials, with the known or estimated colour of the light.
     fn start_light(&mut self, state: &mut TrainState) {
         let known = self.config.white_balance.known();
+        let known = known.map(|colour| match self.data.reference_group {
+            Some(group) => self.data.relative_lights[group].mean_colour(colour),
+            None => colour,
+        });
         let colour = if self.config.light.is_some() {
             initial::colour_from_above(&state.model)
         } else {
