@@ -60,7 +60,8 @@ async fn on_postgres_replicas_train_and_render_and_refuse_uploads() {
     first.client().calibrate(&model, &middle([0.9, 0.2, 0.1])).await.unwrap();
     let calibrated = third.client().thumbnail(&model, "size=64").await.unwrap();
     assert_eq!(calibrated, first.client().thumbnail(&model, "size=64").await.unwrap());
-    let lit = async |server: &TestServer| server.client().thumbnail(&model, "size=64&env=studio").await.unwrap();
+    let lit =
+        async |server: &TestServer| server.client().thumbnail(&model, "size=64&env=studio").await.unwrap();
     let shown_calibrated = lit(&third).await;
     first.client().undo_calibration(&model).await.unwrap();
     assert_ne!(lit(&third).await, shown_calibrated, "what the first server changes is changed everywhere");
