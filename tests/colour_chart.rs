@@ -168,7 +168,8 @@ fn colour_chart_corrects_held_out_photographs_as_well() {
         };
         changed += usize::from(off(&wanted) > 0.02);
         matrix.apply_to_image(&mut wanted, DisplayRange::Unit);
-        assert!(off(&wanted) < 1e-4, "{}: {}", before.name, off(&wanted));
+        // The photographs have 8 bits.
+        assert!(off(&wanted) < 0.51 / 255.0, "{}: {}", before.name, off(&wanted));
     }
     assert_eq!((changed, plain.test.len()), (7, 1), "the control: all photographs were changed");
 }

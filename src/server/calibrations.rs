@@ -43,7 +43,8 @@ pub(super) fn routes() -> OpenApiRouter<AppState> {
 ///
 /// The files of the model change, and so do their `sha256` and `ETag`. Exports that are queued or running begin
 /// again with the new files; finished exports stay as they are. The `figures` of the card are those of the
-/// training. A further calibration replaces this one. The answer is the changed model.
+/// training. A further calibration replaces this one. Pictures limit the albedo to 1, so a model with parts that
+/// would be brighter may miss the reflectance. The answer is the changed model.
 #[utoipa::path(
     put, path = "/v1/models/{id}/calibration", tag = "models",
     params(("id" = String, Path, description = "Model identifier")),
