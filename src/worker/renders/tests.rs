@@ -226,14 +226,37 @@ fn a_model_that_fails_to_load_is_not_cached() {
 fn an_evicted_model_takes_its_lights_with_it() {
     let folder = tempfile::TempDir::new().unwrap();
     let first = model(&folder);
-    let path = folder.path().join("second.safetensors");
-    std::fs::copy(folder.path().join("model.safetensors"), &path).unwrap();
-    let second = ModelSource { id: "second".into(), content: ModelContent::File(path) };
+    let second = replaced(&folder, &first);
     let cache = RenderCache::new(1, 4);
-    let name = |key: &LightKey| key.0.file_name().unwrap().to_string_lossy().into_owned();
-    let cached_models = || lock(&cache.lights).iter().map(|(key, _)| name(key)).collect::<Vec<_>>();
+    let cached_models = || {
+        let names =
+            lock(&cache.lights).iter().map(|(key, _)| key.0.file_name().unwrap().to_owned()).collect();
+        let names: Vec<std::ffi::OsString> = names;
+        names
+    };
     render(&cache, &task(&first, Tier::Preview, 0.0)).unwrap();
     assert_eq!(cached_models(), ["model.safetensors"], "the control: the light of a cached model stays");
     render(&cache, &task(&second, Tier::Preview, 0.0)).unwrap();
-    assert_eq!(cached_models(), ["second.safetensors"]);
+    assert_eq!(cached_models(), ["replaced.safetensors"]);
+}
+
+/// The same model with half of its albedo, in another file.
+fn replaced(folder: &tempfile::TempDir, source: &ModelSource) -> ModelSource {
+    let ModelContent::File(path) = &source.content else { panic!("a file") };
+    let mut model = model_file::decode(&std::fs::read(path).unwrap()).unwrap();
+    model.prototypes[0] = [0.25; 3];
+    let path = folder.path().join("replaced.safetensors");
+    std::fs::write(&path, model_file::encode(&model).unwrap()).unwrap();
+    ModelSource { content: ModelContent::File(path), ..source.clone() }
+}
+
+#[test]
+fn a_model_with_a_replaced_file_is_loaded_again() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let first = model(&folder);
+    let cache = RenderCache::new(2, 4);
+    let frame = |source: &ModelSource| render(&cache, &task(source, Tier::Preview, 0.0)).unwrap();
+    let before = frame(&first);
+    assert_ne!(frame(&replaced(&folder, &first)), before);
+    assert_eq!(frame(&first), before, "the control");
 }
