@@ -91,7 +91,7 @@ impl ExportArgs {
         if !model.has_materials() {
             return Err("--mesh: the model has no materials".into());
         }
-        Ok(encode_mesh_file(model, self.mesh_cells as usize)?)
+        Ok(encode_mesh_file(model, self.mesh_cells as usize, &|| true)?)
     }
 
     fn encode(&self, kind: SplatFile, shown: ExportedColour, model: &Model) -> CommandResult<Vec<u8>> {

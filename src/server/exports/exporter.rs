@@ -130,6 +130,6 @@ async fn make(
     match &export.request {
         NewExport::Frames(spec) => frames::make(app, &export.record, spec, token).await,
         NewExport::Splats(spec) => splats::make(app, &export.record, spec).await,
-        NewExport::Mesh(spec) => splats::make_mesh(app, &export.record, spec).await,
+        NewExport::Mesh(spec) => splats::make_mesh(app, &export.record, spec, token).await,
     }
 }

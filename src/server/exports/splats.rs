@@ -1,5 +1,7 @@
 //! Exports of files for other programs.
 
+use tokio_util::sync::CancellationToken;
+
 use crate::server::app::AppState;
 use crate::server::decoders::Decoders;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
@@ -15,7 +17,9 @@ use relume_api::renders::EnvironmentSpec;
 use relume_capture::formats::model_file;
 use relume_scene::Model;
 use relume_spec::rendering::ExportedColour;
-use relume_train::render::{SplatFile, SplatFileError, encode_mesh_file, encode_splat_file, relit};
+use relume_train::render::{
+    RenderError, SplatFile, SplatFileError, encode_mesh_file, encode_splat_file, relit,
+};
 
 /// Makes a file of Gaussians.
 pub(super) async fn make(
@@ -49,11 +53,12 @@ pub(super) async fn make_mesh(
     app: &AppState,
     export: &ExportRecord,
     spec: &MeshExport,
+    token: &CancellationToken,
 ) -> Result<ExportedFile, ExportError> {
-    let cells = spec.cells as usize;
+    let (cells, token) = (spec.cells as usize, token.clone());
     let (source, _) = models::source(app, &export.tenant, &export.model_id).await?;
     let bytes = with_model(app, &app.exports.file_threads, &export.tenant, &source, cells, move |model| {
-        encode_mesh_file(model, cells).map_err(refused)
+        encode_mesh_file(model, cells, &|| !token.is_cancelled()).map_err(refused)
     })
     .await?;
     let (_, extension, content_type) = file_of(export.kind);
@@ -61,7 +66,7 @@ pub(super) async fn make_mesh(
 }
 
 /// Reads a model and runs `work` on `threads`, with a permit for the memory. `cells` is the resolution of a mesh, 0 for
-/// other files. The work continues to its end even if the future is dropped.
+/// other files. The work continues even if the future is dropped, until it asks whether it is wanted.
 pub(super) async fn with_model<T: Send + 'static>(
     app: &AppState,
     threads: &Decoders,
@@ -103,7 +108,10 @@ fn relight(
 }
 
 fn refused(error: SplatFileError) -> ExportError {
-    ExportError::failed(error.to_string())
+    match error {
+        SplatFileError::Render(RenderError::Abandoned) => ExportError::Unwanted,
+        error => ExportError::failed(error.to_string()),
+    }
 }
 
 /// The encoder of a kind, its extension and its media type.

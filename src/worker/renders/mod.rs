@@ -56,6 +56,7 @@ impl From<RenderError> for RenderFailure {
     fn from(error: RenderError) -> Self {
         match error {
             RenderError::Refused { field, reason } => Self::Refused { field, reason },
+            RenderError::Abandoned => Self::Abandoned,
             RenderError::Device(error) => Self::Device(error),
         }
     }

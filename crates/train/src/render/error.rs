@@ -14,6 +14,9 @@ pub enum RenderError {
         /// The reason.
         reason: String,
     },
+    /// The caller no longer waits for the result.
+    #[error("the caller no longer waits for the result")]
+    Abandoned,
     /// The device failed.
     #[error(transparent)]
     Device(#[from] DeviceError),

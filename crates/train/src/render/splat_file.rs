@@ -125,9 +125,13 @@ pub fn relit(model: Model, light: impl Into<Illumination>, degree: usize) -> Res
 ///
 /// # Errors
 /// If the model has no surface, `cells` is out of range, or the file would be too large.
-pub fn encode_mesh_file(model: Model, cells: usize) -> Result<Vec<u8>, SplatFileError> {
+pub fn encode_mesh_file(
+    model: Model,
+    cells: usize,
+    is_wanted: &dyn Fn() -> bool,
+) -> Result<Vec<u8>, SplatFileError> {
     let options = MeshOptions { cells, ..MeshOptions::default() };
-    let mesh = Renderer::new(Arc::new(model)).mesh(options)?;
+    let mesh = Renderer::new(Arc::new(model)).mesh(options, is_wanted)?;
     Ok(gltf::encode_mesh(&mesh)?)
 }
 
