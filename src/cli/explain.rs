@@ -267,7 +267,7 @@ mod tests {
             },
             "light": { "colour": [1, 1, 1] },
             "calibration": { "scale": [1.5, 1.25, 1.0], "chart": {
-                "neutral_patches": 5, "patches": 20, "before": errors(12.0), "after": errors(3.14),
+                "neutral_patches": 5, "patches": 20, "before": errors(12.0), "after": errors(3.06),
             }},
         });
         let printed = chart(&card).unwrap();
