@@ -25,6 +25,7 @@ mod fuzz;
 mod hostile;
 mod job_machine;
 mod kills;
+mod light_groups;
 mod metadata;
 mod nul_characters;
 mod on_postgres;
