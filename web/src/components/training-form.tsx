@@ -99,6 +99,8 @@ function Details({ isPreset }: { isPreset: boolean }) {
           <Whole name="max_gaussians" label="Gaussians at most" min={16} />
           <div><label for="gate">Quality gate, dB <span class="hint">(optional)</span></label><input id="gate" name="gate" type="number" min="0" max="60" step="0.1" placeholder="e.g. 28" aria-describedby="gate-hint" /></div>
         </div>
+        <div><label for="light_groups">Photographs under several lights <span class="hint">(optional)</span></label><input id="light_groups" name="light_groups" placeholder="noon=IMG_1*, evening=IMG_2*" autocomplete="off" aria-describedby="lights-hint" /></div>
+        <p class="hint" id="lights-hint">A name and the file names of each light; * stands for any characters. The object must not move between them.</p>
         <p class="hint" id="gate-hint">If photographs that the training did not see have less PSNR than the gate, the model is kept and the job ends as rejected.</p>
       </div>
     </details>
@@ -116,6 +118,7 @@ function requested(form: FormData, { capture, time, preset, card }: { capture: s
   for (const name of ['iterations', 'resolution', 'max_gaussians']) if (text(name)) overrides[name] = Number(text(name))
   if (time !== 'preset') overrides.time_budget_s = Number(time)
   if (text('crop')) overrides.crop = text('crop')
+  if (text('light_groups')) overrides.light_groups = lightGroups(text('light_groups'))
   const balance = text('white_balance')
   if (card) overrides.grey_card = card
   else if (balance) overrides.white_balance = Number(balance) || balance
@@ -124,6 +127,15 @@ function requested(form: FormData, { capture, time, preset, card }: { capture: s
   if (text('name')) job.name = text('name')
   if (text('gate')) job.quality_gate = { 'novel_view.psnr': `>=${text('gate')}` }
   return job as unknown as NewJob
+}
+
+/** The pattern of file names by the name of the light, from `name=pattern, ...`. The server refuses what is not complete. */
+function lightGroups(text: string): Record<string, string> {
+  const pair = (part: string): [string, string] => {
+    const [name = '', ...pattern] = part.split('=')
+    return [name.trim(), pattern.join('=').trim()]
+  }
+  return Object.fromEntries(text.split(',').filter((part) => part.trim()).map(pair))
 }
 
 /** How long the training takes and what runs before it. */
