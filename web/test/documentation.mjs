@@ -18,4 +18,10 @@ export async function documentedApi(page, base, key) {
     const shown = await operation.locator('.request-snippets .microlight').innerText()
     assert.ok(shown.includes(code) && shown.includes(`Bearer ${key}`) && shown.includes('/v1/models'), `${name}: ${shown}`)
   }
+  const filterIn = async (colorScheme) => {
+    await page.emulateMedia({ colorScheme })
+    return page.evaluate(() => getComputedStyle(document.documentElement).filter)
+  }
+  assert.equal(await filterIn('light'), 'none')
+  assert.match(await filterIn('dark'), /invert/)
 }
