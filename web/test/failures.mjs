@@ -107,6 +107,7 @@ export async function refusedTraining(page) {
   const light_groups = { noon: 'train_00*', evening: 'train_01*' }
   assert.deepEqual(sent.overrides, { time_budget_s: 600, white_balance: 'daylight', light_groups })
   await page.getByLabel('Photographs under several lights').fill('')
+  await page.getByText('Details', { exact: true }).click()
   assert.equal(sent.preset, undefined)
   await greyCard(page)
   assert.deepEqual(Object.keys(sent.overrides).sort(), ['grey_card', 'time_budget_s'])
