@@ -209,7 +209,7 @@ fn run_with(args: &TrainArgs, progress: &mut ProgressReporter) -> CommandResult<
     for warning in &capture.warnings {
         progress.warning(warning);
     }
-    capture.facts().for_each(|fact| progress.status(fact));
+    capture.facts().for_each(|fact| progress.status(&fact));
     let (trained, held_out) = (capture.train.len(), capture.test.len());
     progress.status(&format!("{}: {trained} images to train on, {held_out} held out", capture.layout));
     let need = MemoryEstimate::of(&PhotographSizes::of(&capture), &config, budget.on_device);

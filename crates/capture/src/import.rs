@@ -291,9 +291,10 @@ fn split(photos: &[PhotoEntry], views: Vec<CaptureView>) -> (Vec<CaptureView>, V
 }
 
 impl Capture {
-    /// What the importer derived from the evidence of the capture, in words: the up direction, and the rotations of the light.
-    pub fn facts(&self) -> impl Iterator<Item = &String> {
-        self.up.note.iter().chain(&self.turntable)
+    /// What the capture states or the importer derived from its evidence, in words: the up direction, the rotations of the light, and the light
+    /// groups.
+    pub fn facts(&self) -> impl Iterator<Item = String> {
+        self.up.note.clone().into_iter().chain(self.turntable.clone()).chain(self.light_groups_in_words())
     }
 
     /// A summary of the capture. Its only notes are [`Self::facts`].
@@ -315,7 +316,7 @@ impl Capture {
             notes: self
                 .facts()
                 .map(|text| PhotographNote {
-                    text: printable(text),
+                    text: printable(&text),
                     kind: NoteKind::Fact,
                     photographs: Vec::new(),
                 })

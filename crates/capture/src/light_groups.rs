@@ -56,6 +56,17 @@ impl Capture {
         Ok(())
     }
 
+    /// The light groups of the training photographs and their numbers of photographs; `None` for one group.
+    pub(crate) fn light_groups_in_words(&self) -> Option<String> {
+        let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+        for view in &self.train {
+            *counts.entry(view.light_group.as_deref().unwrap_or("no group")).or_default() += 1;
+        }
+        let named = |(name, count): (&&str, &usize)| format!("{name} ({count} photographs)");
+        (counts.len() > 1)
+            .then(|| format!("light groups: {}", counts.iter().map(named).collect::<Vec<_>>().join(", ")))
+    }
+
     /// True when every photograph that matches a pattern of `groups` has that group.
     pub fn has_light_groups(&self, groups: &BTreeMap<String, String>) -> bool {
         groups.iter().all(|(group, pattern)| {
@@ -102,13 +113,15 @@ mod tests {
     fn light_groups_are_set_by_file_name() {
         let mut capture = capture(4);
         let stated = groups(&[("day", "train_00[01]/*"), ("night", "test_*")]);
-        assert!(!capture.has_light_groups(&stated), "the control");
+        assert!(!capture.has_light_groups(&stated) && capture.facts().count() == 0, "the control");
         capture.set_light_groups(&stated).unwrap();
         let day = Some("day".to_owned());
         let of: Vec<_> = capture.train.iter().map(|view| view.light_group.clone()).collect();
         assert_eq!(of, [day.clone(), day, None, None]);
         assert_eq!(capture.test[0].light_group.as_deref(), Some("night"));
         assert!(capture.has_light_groups(&stated));
+        let said = "light groups: day (2 photographs), no group (2 photographs)";
+        assert!(capture.facts().any(|fact| fact == said), "{:?}", capture.facts().collect::<Vec<_>>());
         assert_eq!(capture.light_group_of("train_001/rgba.png"), Some("day"));
         assert_eq!(capture.light_group_of("train_003/rgba.png"), None, "the control");
         let end = Pattern::new("IMG_1?.jpg").unwrap();
