@@ -7,39 +7,13 @@ use std::process::{Command, Output};
 use relume_capture::formats::model_file;
 use relume_capture::{Capture, ImportLimits, SyntheticOptions, synthetic, write_archive};
 use relume_compare::largest_difference;
+use relume_fixtures::colour_chart::SRGB;
 use relume_scene::{BitDepth, DisplayRange, ImageRgba, PackedImage, srgb};
 use relume_spec::training::{ChartEdition, ColourChart, Preset, TrainConfig, TrainOverrides};
 use relume_train::{MemoryBudget, import_for_training};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// Published 8-bit sRGB colours of the 24 patches, charts before November 2014 (X-Rite 2005), row by row.
-const PATCHES: [[u8; 3]; 24] = [
-    [115, 82, 68],
-    [194, 150, 130],
-    [98, 122, 157],
-    [87, 108, 67],
-    [133, 128, 177],
-    [103, 189, 170],
-    [214, 126, 44],
-    [80, 91, 166],
-    [193, 90, 99],
-    [94, 60, 108],
-    [157, 188, 64],
-    [224, 163, 46],
-    [56, 61, 150],
-    [70, 148, 73],
-    [175, 54, 60],
-    [231, 199, 31],
-    [187, 86, 149],
-    [8, 133, 161],
-    [243, 243, 242],
-    [200, 200, 200],
-    [160, 160, 160],
-    [122, 122, 121],
-    [85, 85, 85],
-    [52, 52, 52],
-];
 /// Channels of white in the photographs.
 const CAST: [f32; 3] = [0.9, 0.6, 0.4];
 /// The chart in the photograph: its left and upper edge, and the size of a patch, pixels. The patches have no distance.
@@ -63,7 +37,7 @@ fn capture() -> TempDir {
         SyntheticOptions { size: 64, train_views: 6, test_views: 1, paths: 4, ..Default::default() };
     let mut capture = synthetic(&options).unwrap();
     let mut image = capture.train[0].image.decoded();
-    for (index, patch) in PATCHES.iter().enumerate() {
+    for (index, patch) in SRGB.iter().enumerate() {
         let [r, g, b] =
             std::array::from_fn(|c| srgb::encode(srgb::decode(f32::from(patch[c]) / 255.0) * CAST[c]));
         let (x, y) = (LEFT + SIDE * (index % 6), TOP + SIDE * (index / 6));

@@ -90,7 +90,7 @@ fn shown(rgb: [f32; 3]) -> String {
     rgb.map(|v| format!("{v:.3}")).join(", ")
 }
 
-/// Calibrates `model` by a patch; returns what was done.
+/// Calibrates `model` by a patch and returns a sentence with the result.
 fn by_patch(
     args: &CalibrateArgs,
     patch: &GreyCard,
@@ -110,7 +110,7 @@ fn by_patch(
     ))
 }
 
-/// Calibrates `model` by a colour chart; returns what was done.
+/// Calibrates `model` by a colour chart and returns a sentence with the result.
 fn by_chart(
     args: &CalibrateArgs,
     chart: &ColourChart,

@@ -74,7 +74,8 @@ async fn changed(
     app.decoders.run(tenant, work).await?
 }
 
-/// Gives `card` the calibration of the card in the file, which lacks what is known only after a training.
+/// Copies the entry `calibration` from the card in the model file to `card`, the card in the database. The other entries stay: the card in
+/// the file has no figures of the finished training.
 fn take_calibration(card: &mut serde_json::Value, of_file: &serde_json::Value) {
     let Some(fields) = card.as_object_mut() else { return };
     match of_file.get("calibration") {

@@ -106,11 +106,7 @@ pub fn restore_levels(model: &mut Model, lights: &[RelativeLight]) {
 
 /// Applies `change` to the mean light of the groups, whose photographs have the `shares`, then multiplies each group's light by the
 /// factor by which the mean light changed, texel by texel. With one group this is `change` itself.
-pub fn change_mean_light<R>(
-    state: &mut TrainState,
-    shares: &[f32],
-    change: impl FnOnce(&mut TrainState) -> R,
-) -> R {
+pub fn change_mean_light(state: &mut TrainState, shares: &[f32], change: impl FnOnce(&mut TrainState)) {
     if shares.len() < 2 {
         return change(state);
     }
@@ -118,7 +114,7 @@ pub fn change_mean_light<R>(
     let before = mean_radiance(&state.model, shares);
     let groups =
         std::mem::replace(&mut state.model.env_raw, before.iter().map(|t| t.map(softplus_inverse)).collect());
-    let result = change(state);
+    change(state);
     let after: Vec<[f32; 3]> = state.model.env_raw.iter().map(|raw| raw.map(softplus)).collect();
     let changed = |(i, raw): (usize, &[f32; 3])| -> [f32; 3] {
         let t = i % texels;
@@ -128,7 +124,6 @@ pub fn change_mean_light<R>(
         })
     };
     state.model.env_raw = groups.iter().enumerate().map(changed).collect();
-    result
 }
 
 /// Radiance of each texel, the mean of the groups by their `shares`.

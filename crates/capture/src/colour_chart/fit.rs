@@ -11,8 +11,7 @@ const LUMINANCE: DVec3 = DVec3::new(0.2126, 0.7152, 0.0722);
 const DARK: f64 = 0.05;
 /// Least number of patches.
 const MIN_PATCHES: usize = 12;
-/// Least determinant of the second moments over the cube of their mean diagonal. A photograph of a chart has 1e-3 or more, one without
-/// colours 0.
+/// Least determinant of the second moments over the cube of their mean diagonal. It is 0 for a photograph without colours.
 const MIN_SPREAD: f64 = 1e-6;
 /// Largest magnitude of an entry of the applied matrix: a white balance from candle light to daylight has 5.
 const MAX_ENTRY: f64 = 10.0;

@@ -8,7 +8,8 @@ use crate::colour_chart::sampling::{colours, homography};
 use relume_scene::{DisplayRange, ImageRgba};
 use relume_spec::training::ChartEdition;
 
-/// Largest accepted mean CIEDE2000 with the matrix. Photographs of phones and cameras have 1 to 5, wrong corners 10 or more.
+/// Largest accepted mean CIEDE2000 with the matrix. The wrong orders of the corners in the tests have 9 or more; photographs of real charts
+/// were not measured.
 const MAX_MEAN: f64 = 7.0;
 /// Another order of the corners replaces the given one if its mean CIEDE2000 is smaller than that of the given one by this factor.
 const MUCH_BETTER: f64 = 0.5;
@@ -47,7 +48,7 @@ impl FittedChart {
 /// Fits the chart at `corners` of `photograph`, in the order that its colours show.
 ///
 /// # Errors
-/// In words: what is wrong, and what to check.
+/// A sentence with the reason and with what the user should check.
 pub(super) fn fit_chart(
     photograph: &ImageRgba,
     range: DisplayRange,

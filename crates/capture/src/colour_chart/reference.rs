@@ -146,35 +146,8 @@ mod tests {
     use super::*;
     use crate::formats::chromaticities::ToRec709;
     use relume_compare::largest_difference;
+    use relume_fixtures::colour_chart::SRGB;
     use relume_scene::srgb;
-
-    /// Published 8-bit sRGB values of the charts before November 2014 (X-Rite 2005). Cyan is clipped in them.
-    const SRGB: [[u8; 3]; PATCHES] = [
-        [115, 82, 68],
-        [194, 150, 130],
-        [98, 122, 157],
-        [87, 108, 67],
-        [133, 128, 177],
-        [103, 189, 170],
-        [214, 126, 44],
-        [80, 91, 166],
-        [193, 90, 99],
-        [94, 60, 108],
-        [157, 188, 64],
-        [224, 163, 46],
-        [56, 61, 150],
-        [70, 148, 73],
-        [175, 54, 60],
-        [231, 199, 31],
-        [187, 86, 149],
-        [8, 133, 161],
-        [243, 243, 242],
-        [200, 200, 200],
-        [160, 160, 160],
-        [122, 122, 121],
-        [85, 85, 85],
-        [52, 52, 52],
-    ];
 
     #[test]
     fn reference_colours_are_near_their_published_srgb_values() {

@@ -114,13 +114,14 @@ fn prepare(capture: &Capture, config: &mut TrainConfig) -> Result<Dataset, Train
         return Err(TrainError::Invalid(format!("light_rotation_per_photo: {reason}")));
     }
     if !capture.has_light_groups(&config.light_groups) {
-        let reason = "the photographs do not have these light groups";
+        let reason =
+            "the photographs do not have these light groups; import the capture with the same settings";
         return Err(TrainError::Invalid(format!("light_groups: {reason}")));
     }
     if config.light.is_some()
         && capture.train.iter().any(|view| view.light_group != capture.train[0].light_group)
     {
-        let reason = "is one light of all photographs, but the capture states several light groups";
+        let reason = "is one light of all photographs, but the capture states several light groups; train without a known light";
         return Err(TrainError::Invalid(format!("light: {reason}")));
     }
     if config.crop != Crop::NONE && capture.has_alpha {
