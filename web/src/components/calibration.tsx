@@ -45,7 +45,7 @@ export function Calibration({ model, onDone }: { model: Model; onDone: () => voi
   return (
     <section class="card stack" aria-labelledby="calibration">
       <h2 id="calibration">Calibrate colour</h2>
-      <p class="small muted">Photographs do not tell how bright a surface is and how bright its light. One surface of known reflectance does.</p>
+      <p class="small muted">Photographs alone do not show whether a surface is bright or its light is bright. Choose a surface whose reflectance you know, such as white paper or a grey card.</p>
       {calibration ? <p class="small">Calibrated to the reflectance {shown(calibration.reflectance)}. The albedo was multiplied by {shown(calibration.scale)}.</p> : null}
       {isOpen ? (
         <PatchPicker id="calibration" capture={model.capture} heldOut legend="Click on the surface or drag across it" value={patch} onChange={setPatch}>

@@ -99,9 +99,9 @@ function Details({ isPreset }: { isPreset: boolean }) {
           <Whole name="max_gaussians" label="Gaussians at most" min={16} />
           <div><label for="gate">Quality gate, dB <span class="hint">(optional)</span></label><input id="gate" name="gate" type="number" min="0" max="60" step="0.1" placeholder="e.g. 28" aria-describedby="gate-hint" /></div>
         </div>
-        <div><label for="light_groups">Photographs under several lights <span class="hint">(optional)</span></label><input id="light_groups" name="light_groups" placeholder="noon=IMG_1*, evening=IMG_2*" autocomplete="off" aria-describedby="lights-hint" /></div>
-        <p class="hint" id="lights-hint">A name and the file names of each light; * stands for any characters. The object must not move between them.</p>
         <p class="hint" id="gate-hint">If photographs that the training did not see have less PSNR than the gate, the model is kept and the job ends as rejected.</p>
+        <div><label for="light_groups">Photographs under several lights <span class="hint">(optional)</span></label><input id="light_groups" name="light_groups" placeholder="noon=IMG_1*, evening=IMG_2*" autocomplete="off" aria-describedby="lights-hint" /></div>
+        <p class="hint" id="lights-hint">For each light: a name, and the names of its photographs. * stands for any characters. The object must not move between the photographs.</p>
       </div>
     </details>
   )
