@@ -91,6 +91,14 @@ impl Lease {
         self.jobs.store.lease_status(&self.job.id, &self.token).await
     }
 
+    /// Whether another job should run before this one; see [`Store::should_yield`](crate::store::Store::should_yield).
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub async fn should_yield(&self) -> Result<bool, StoreError> {
+        self.jobs.store.should_yield(&self.job.id, &self.token, self.jobs.now_ms()).await
+    }
+
     /// Records progress. This is the heartbeat: it is called after a step and at no other time.
     ///
     /// # Errors

@@ -110,6 +110,10 @@ impl Claim for RemoteClaim {
         lease_status(self.work.heartbeat().await)
     }
 
+    async fn should_yield(&self) -> Result<bool, JobSourceError> {
+        Ok(self.work.heartbeat().await.map_err(source_error)?.should_yield)
+    }
+
     async fn progress(&self, progress: &JobProgress) -> Result<LeaseStatus, JobSourceError> {
         (self.observer)(WorkerEvent::Progress(progress));
         lease_status(with_retries(async || self.work.progress(progress).await).await)

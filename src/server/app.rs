@@ -18,6 +18,7 @@ use crate::server::opened_captures::OpenedCaptures;
 use crate::server::poses::PoseQueue;
 use crate::server::signing_secret::SigningSecret;
 use crate::server::thumbnail_cache::ThumbnailCache;
+use crate::server::validators::Validators;
 use crate::server::webhooks::WebhookPolicy;
 use crate::store::{Store, UploadLimits};
 use crate::worker::{DecodedMaps, DeviceHandle};
@@ -83,7 +84,7 @@ pub(super) struct App {
     /// Threads that decode single photographs and maps, and read the lists of archives.
     pub(super) decoders: Decoders,
     /// Threads that validate whole captures, which may take minutes.
-    pub(super) validators: Decoders,
+    pub(super) validators: Validators,
     /// The queue between requests and the exporter.
     pub(super) exports: ExportQueue,
     /// All API keys.

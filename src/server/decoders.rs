@@ -1,11 +1,12 @@
 //! Threads that decode uploads. They are separate from those of the engine, so that frames do not wait for them, and their number
 //! is limited by the memory. Tenants take turns: work of one tenant waits for at most one piece of work of each other tenant.
 
-use std::collections::{HashMap, VecDeque};
 use std::panic::AssertUnwindSafe;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::server::problem::Problem;
+use crate::server::tenant_queue::TenantQueue;
+use crate::server::thread_priority::lower_for_this_thread;
 use relume_api::TenantId;
 
 /// Maximum bytes for decoding one photograph: as stored, as floats, and reduced.
@@ -17,38 +18,8 @@ type Work = Box<dyn FnOnce() + Send>;
 #[derive(Clone)]
 pub(super) struct Decoders {
     threads: Arc<rayon::ThreadPool>,
-    waiting: Arc<Mutex<Waiting>>,
-}
-
-/// Work that has not begun.
-#[derive(Default)]
-struct Waiting {
-    /// The tenants with work, in the order of their turns.
-    turns: VecDeque<TenantId>,
-    work: HashMap<TenantId, VecDeque<Work>>,
-}
-
-impl Waiting {
-    fn push(&mut self, tenant: &TenantId, work: Work) {
-        let of_tenant = self.work.entry(tenant.clone()).or_default();
-        if of_tenant.is_empty() {
-            self.turns.push_back(tenant.clone());
-        }
-        of_tenant.push_back(work);
-    }
-
-    /// The oldest work of the tenant whose turn it is. Its next turn comes after those of all other tenants.
-    fn pop(&mut self) -> Option<Work> {
-        let tenant = self.turns.pop_front()?;
-        let of_tenant = self.work.get_mut(&tenant)?;
-        let work = of_tenant.pop_front();
-        if of_tenant.is_empty() {
-            self.work.remove(&tenant);
-        } else {
-            self.turns.push_back(tenant);
-        }
-        work
-    }
+    /// Work that has not begun.
+    waiting: Arc<Mutex<TenantQueue<Work>>>,
 }
 
 impl Decoders {
@@ -58,10 +29,22 @@ impl Decoders {
     /// # Errors
     /// When threads cannot be started.
     pub(super) fn start(memory: u64) -> std::io::Result<Self> {
+        Self::with_pool(memory, rayon::ThreadPoolBuilder::new().thread_name(|i| format!("decoder-{i}")))
+    }
+
+    /// As [`Self::start`], with threads that give way to trainings and frames.
+    ///
+    /// # Errors
+    /// When threads cannot be started.
+    pub(super) fn start_at_low_priority(memory: u64) -> std::io::Result<Self> {
+        let pool = rayon::ThreadPoolBuilder::new().thread_name(|i| format!("decoder-low-{i}"));
+        Self::with_pool(memory, pool.start_handler(|_| lower_for_this_thread()))
+    }
+
+    fn with_pool(memory: u64, pool: rayon::ThreadPoolBuilder) -> std::io::Result<Self> {
         let threads = threads(memory, std::thread::available_parallelism().map_or(1, usize::from));
-        let pool =
-            rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("decoder-{i}"));
-        Ok(Self { threads: Arc::new(pool.build().map_err(std::io::Error::other)?), waiting: Arc::default() })
+        let pool = pool.num_threads(threads).build().map_err(std::io::Error::other)?;
+        Ok(Self { threads: Arc::new(pool), waiting: Arc::default() })
     }
 
     /// Runs `work` of `tenant` on the threads, including its parallel parts, when it is the tenant's turn. Work whose caller no
@@ -96,7 +79,7 @@ impl Decoders {
         }
     }
 
-    fn waiting(&self) -> MutexGuard<'_, Waiting> {
+    fn waiting(&self) -> MutexGuard<'_, TenantQueue<Work>> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -168,7 +151,5 @@ mod tests {
         let (first, ()) = tokio::join!(first, others);
         assert!(first.unwrap().is_ok());
         assert_eq!(*done.lock().unwrap(), ["a1", "b1", "b2", "a3"]);
-        let waiting = decoders.waiting();
-        assert!(waiting.turns.is_empty() && waiting.work.is_empty(), "tenants without work have no entry");
     }
 }

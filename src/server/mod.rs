@@ -67,11 +67,15 @@ mod signed_urls;
 mod signing;
 mod signing_secret;
 mod telemetry;
+mod tenant_queue;
 mod tenant_slots;
+mod tenant_turns;
+mod thread_priority;
 mod thumbnail_cache;
 mod thumbnails;
 mod uploads;
 mod usage;
+mod validators;
 mod viewer;
 #[cfg(feature = "web")]
 mod web;

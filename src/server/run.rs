@@ -36,6 +36,7 @@ use crate::server::router::{openapi, router};
 use crate::server::signing_secret::SigningSecret;
 use crate::server::telemetry;
 use crate::server::thumbnail_cache::ThumbnailCache;
+use crate::server::validators::Validators;
 use crate::server::webhooks::WebhookPolicy;
 use crate::store::{
     DataDirLock, DatabaseUrl, ObjectStoreConfig, Quota, Retention, ServerLock, Store, StoreError,
@@ -323,8 +324,11 @@ fn service(
         poses: PoseQueue::new(config.poses.clone()),
         encoders: Encoders::new(),
         decoders: Decoders::start(config.limits.memory_bytes)?,
-        validators: Decoders::start(config.limits.memory_bytes)?,
-        exports: ExportQueue::new(config.exports.clone(), Decoders::start(config.limits.memory_bytes)?),
+        validators: Validators::start(config.limits.memory_bytes)?,
+        exports: ExportQueue::new(
+            config.exports.clone(),
+            Decoders::start_at_low_priority(config.limits.memory_bytes)?,
+        ),
         keys: keys.clone(),
         signing: signing.clone(),
         fetcher: Fetcher::new(config.fetching.clone()),

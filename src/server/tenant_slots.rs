@@ -20,18 +20,19 @@ pub(super) struct TenantSlots {
 }
 
 /// A slot, held until this is dropped.
-struct TenantSlot {
+pub(super) struct TenantSlot {
     tenant_slots: TenantSlots,
     tenant: TenantId,
 }
 
 impl TenantSlots {
-    /// Permits at most `per_tenant` concurrent requests of each tenant.
+    /// Permits at most `per_tenant` held slots of each tenant.
     pub(super) fn new(per_tenant: usize) -> Self {
         Self { per_tenant, taken: Arc::default() }
     }
 
-    fn take(&self, tenant: &TenantId) -> Option<TenantSlot> {
+    /// Takes a slot, unless the tenant has reached its limit.
+    pub(super) fn take(&self, tenant: &TenantId) -> Option<TenantSlot> {
         let mut taken = self.taken();
         let count = taken.entry(tenant.clone()).or_default();
         if *count >= self.per_tenant {

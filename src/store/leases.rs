@@ -4,7 +4,7 @@ use serde_json::json;
 use sqlx::types::Json;
 
 use crate::store::sql::{self, Sql, Tx};
-use crate::store::{JobRecord, ModelFile, ModelRecord, QualityResult, Store, StoreError, events};
+use crate::store::{JobRecord, ModelFile, ModelRecord, QualityResult, Store, StoreError, events, preemption};
 use relume_api::jobs::{JobProgress, JobState};
 use relume_api::work::{LeaseStatus, Release};
 use relume_api::{JobId, WorkerId};
@@ -258,17 +258,22 @@ impl Store {
     ) -> Result<LeaseStatus, StoreError> {
         let waits = release == Release::NoRoom;
         let mut tx = self.write().await?;
+        if release == Release::Preempted {
+            preemption::move_behind_others(&mut tx, job, token).await?;
+        }
         let step: Option<i64> = sql::query_scalar(
             "UPDATE jobs SET state = 'queued', lease_token = NULL, lease_until_ms = NULL,
                  eta_seconds = NULL, idle_attempts = CASE WHEN idle_attempts < $3 THEN 0 ELSE idle_attempts - $3 END,
                  step = CASE WHEN $4 THEN COALESCE(checkpoint_step, 0) ELSE step END,
-                 message = CASE WHEN $4 THEN 'waiting for disk space' ELSE message END
+                 message = CASE WHEN $4 THEN 'waiting for disk space' WHEN $5 THEN 'paused: other jobs run first'
+                                ELSE message END
              WHERE id = $1 AND lease_token = $2 AND state = 'running' RETURNING step",
         )
         .bind(job)
         .bind(token)
         .bind(i64::from(release != Release::AttemptFailed))
         .bind(waits)
+        .bind(release == Release::Preempted)
         .fetch_optional(&mut tx)
         .await?;
         let Some(step) = step else { return Ok(LeaseStatus::Lost) };

@@ -34,6 +34,7 @@ mod orphan_cleanup;
 mod ownership;
 mod page;
 mod pending_quota;
+mod preemption;
 mod publish;
 mod quality_result;
 mod quota;

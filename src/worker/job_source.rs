@@ -84,6 +84,9 @@ pub trait Claim {
     /// Whether the lease is valid. Changes nothing.
     async fn check(&self) -> Result<LeaseStatus, JobSourceError>;
 
+    /// Whether another job should run before this one. Changes nothing.
+    async fn should_yield(&self) -> Result<bool, JobSourceError>;
+
     /// Reports progress, which renews the lease.
     async fn progress(&self, progress: &JobProgress) -> Result<LeaseStatus, JobSourceError>;
 

@@ -131,6 +131,10 @@ impl Claim for LocalClaim {
         Ok(self.lease.check().await?)
     }
 
+    async fn should_yield(&self) -> Result<bool, JobSourceError> {
+        Ok(self.lease.should_yield().await?)
+    }
+
     async fn progress(&self, progress: &JobProgress) -> Result<LeaseStatus, JobSourceError> {
         Ok(self.lease.progress(progress).await?)
     }

@@ -244,8 +244,14 @@ impl History<'_> {
             }
             3 => (lease.warn("look out").await, model.warn(claim)),
             4 => {
-                let all = [Release::Shutdown, Release::NoRoom, Release::AttemptFailed, Release::Outage];
-                let why = all[step as usize % 4];
+                let all = [
+                    Release::Shutdown,
+                    Release::NoRoom,
+                    Release::AttemptFailed,
+                    Release::Outage,
+                    Release::Preempted,
+                ];
+                let why = all[step as usize % all.len()];
                 (lease.release(why).await, model.release(claim, why))
             }
             5 => (lease.fail("broken", "it broke").await, model.end(claim, Some("broken"))),

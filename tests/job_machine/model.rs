@@ -232,7 +232,7 @@ impl Model {
         let given_back = match release {
             Release::AttemptFailed => 0,
             Release::Shutdown if self.is(Wrong::ShutdownCounts) => 0,
-            Release::Shutdown | Release::Outage | Release::NoRoom => 1,
+            Release::Shutdown | Release::Outage | Release::NoRoom | Release::Preempted => 1,
         };
         let job = &mut self.jobs[claim.job];
         job.idle = (job.idle - given_back).max(0);

@@ -3,6 +3,7 @@
 mod chaos;
 mod fencing;
 pub mod fleet;
+mod preemption;
 mod processes;
 mod registry;
 mod replicas;

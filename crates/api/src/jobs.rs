@@ -29,7 +29,9 @@ pub struct NewJob {
     #[cfg_attr(feature = "sqlx", sqlx(json))]
     pub overrides: TrainOverrides,
     /// Priority, -100 to 100. Jobs with a higher priority run first; within a priority, tenants take turns. A
-    /// value above 0 requires a key with the scope `priority`. Omitted: 0.
+    /// running job returns to the queue with its checkpoint if a job of a higher priority, or of a tenant
+    /// without a running job, waits after its time slice of 30 seconds or more. A value above 0 requires a key
+    /// with the scope `priority`. Omitted: 0.
     #[serde(default)]
     #[schema(minimum = -100, maximum = 100)]
     pub priority: i64,

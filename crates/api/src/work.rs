@@ -100,8 +100,9 @@ pub enum LeaseStatus {
 /// Reason of a worker to return a job to the queue.
 ///
 /// `shutdown`: the worker stops. `outage`: a service that the worker needs is unreachable. `no_room`: the
-/// disk is full; the job waits for disk space. `attempt_failed`: the attempt failed, and another one may
-/// succeed. Only `attempt_failed` counts as an attempt without a checkpoint.
+/// disk is full; the job waits for disk space. `preempted`: a job of another tenant, or one of a higher
+/// priority, runs first. `attempt_failed`: the attempt failed, and another one may succeed. Only
+/// `attempt_failed` counts as an attempt without a checkpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Release {
@@ -111,6 +112,8 @@ pub enum Release {
     Outage,
     /// The disk is full. The job waits for disk space. The attempt does not count.
     NoRoom,
+    /// A job of another tenant, or one of a higher priority, runs first. The attempt does not count.
+    Preempted,
     /// The attempt failed. Another one may succeed.
     AttemptFailed,
 }
@@ -120,6 +123,11 @@ pub enum Release {
 pub struct LeaseView {
     /// Status.
     pub status: LeaseStatus,
+    /// Only in the answer to a heartbeat. True if a job of another tenant without a running job, or one of a
+    /// higher priority, waits for this worker. After its time slice, the worker should store a checkpoint and
+    /// return its job with the reason `preempted`.
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub should_yield: bool,
 }
 
 /// A warning for the event history of the job.

@@ -3,13 +3,13 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
+use tokio::sync::OnceCell;
 use tokio_util::sync::CancellationToken;
 
 use super::policy::PosesPolicy;
-use crate::server::problem::Problem;
-use relume_api::CaptureId;
+use crate::server::tenant_turns::{TenantTurns, Turn};
 use relume_api::captures::{PosesProgress, PosesStage};
+use relume_api::{CaptureId, TenantId};
 use relume_capture::poses::{PoseProgress, PoseStage, colmap_version};
 
 /// The state of pose estimation for all captures.
@@ -17,8 +17,8 @@ pub(in crate::server) struct PoseQueue {
     pub(super) policy: PosesPolicy,
     /// Whether COLMAP can be used or the reason why not, after the first check.
     availability: OnceCell<Result<(), String>>,
-    /// COLMAP uses all processors, so only one process runs at a time.
-    colmap_permit: Arc<Semaphore>,
+    /// COLMAP uses all processors, so only one process runs at a time. Tenants take turns.
+    colmap: TenantTurns,
     active: Arc<Mutex<HashMap<CaptureId, ActiveCapture>>>,
 }
 
@@ -37,8 +37,7 @@ pub(in crate::server) struct PoseJob {
 
 impl PoseQueue {
     pub(in crate::server) fn new(policy: PosesPolicy) -> Self {
-        let colmap_permit = Arc::new(Semaphore::new(1));
-        Self { policy, availability: OnceCell::new(), colmap_permit, active: Arc::default() }
+        Self { policy, availability: OnceCell::new(), colmap: TenantTurns::default(), active: Arc::default() }
     }
 
     /// Checks whether poses can be found, and returns the reason if not. COLMAP is tested once per server process.
@@ -91,17 +90,14 @@ impl PoseQueue {
         PoseJob { id: id.clone(), active: self.active.clone(), cancelled }
     }
 
-    /// Waits for the permit to run COLMAP.
-    ///
-    /// # Errors
-    /// Not while the server runs.
-    pub(super) async fn colmap_permit(&self) -> Result<OwnedSemaphorePermit, Problem> {
-        self.colmap_permit.clone().acquire_owned().await.map_err(Problem::internal)
+    /// Waits for the turn of a tenant to run COLMAP.
+    pub(super) async fn colmap_turn(&self, tenant: &TenantId) -> Turn {
+        self.colmap.turn(tenant).await
     }
 
     /// Waits until COLMAP has ended, which a shutdown of the server causes.
     pub(in crate::server) async fn idle(&self) {
-        let _ = self.colmap_permit.acquire().await;
+        let _turn = self.colmap.turn(&TenantId::from("")).await;
     }
 }
 

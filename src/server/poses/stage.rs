@@ -4,13 +4,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use axum::http::StatusCode;
-use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::sync::CancellationToken;
 
 use super::queue::PoseJob;
 use super::{folder, log, pack};
 use crate::server::app::AppState;
 use crate::server::problem::Problem;
+use crate::server::tenant_turns::Turn;
 use crate::store::StagedUpload;
 use relume_api::problem::ContentError;
 use relume_api::{CaptureId, TenantId};
@@ -67,16 +67,16 @@ pub(in crate::server) async fn find(
     app.store.admit_bytes_of(tenant, photographs.bytes).await?;
     app.store.admit_bytes(photographs.bytes).await?;
     let pose_job = Arc::new(pose_job);
-    let colmap_permit = tokio::select! {
+    let turn = tokio::select! {
         () = pose_job.cancelled.cancelled() => return Err(no_poses("cancelled", "the pose estimation was cancelled")),
-        colmap_permit = app.poses.colmap_permit() => colmap_permit?,
+        turn = app.poses.colmap_turn(tenant) => turn,
     };
     let folder = folder::of(&app.store, id);
     let work = PoseTask {
         app: app.clone(),
         folder: folder.clone(),
         pose_job: pose_job.clone(),
-        colmap_permit,
+        turn,
         stop: app.stop.clone(),
     };
     let path = photographs.path.clone();
@@ -99,13 +99,13 @@ struct PoseTask {
     folder: std::path::PathBuf,
     pose_job: Arc<PoseJob>,
     /// Held until COLMAP has ended, even if the caller no longer waits.
-    colmap_permit: OwnedSemaphorePermit,
+    turn: Turn,
     stop: CancellationToken,
 }
 
 impl PoseTask {
     fn run(self, upload: &Path) -> Result<(), PoseError> {
-        let _colmap_permit = &self.colmap_permit;
+        let _turn = &self.turn;
         let policy = &self.app.poses.policy;
         let limits: ImportLimits = self.app.limits_of_uploads();
         let Some(photographs) = PhotosWithoutPoses::open(upload, &limits)? else { return Ok(()) };

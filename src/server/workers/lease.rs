@@ -43,6 +43,6 @@ fn lost() -> Problem {
 pub(super) fn lease_view(status: Result<LeaseStatus, StoreError>) -> Result<LeaseView, Problem> {
     match status? {
         LeaseStatus::Lost => Err(lost()),
-        status => Ok(LeaseView { status }),
+        status => Ok(LeaseView { status, should_yield: false }),
     }
 }

@@ -89,7 +89,7 @@ fn check(hello: &WorkerHello) -> Result<(), Problem> {
 /// Send a heartbeat
 ///
 /// For workers with a job, at the interval `beat_ms` of the claim. The answer contains the status of the
-/// lease, e.g. that the job must stop. A heartbeat does not renew the lease; a progress report does.
+/// lease, e.g. that the job must stop, and whether another job should run first. A heartbeat does not renew the lease; a progress report does.
 #[utoipa::path(
     post, path = "/v1/work/{job}/heartbeat", tag = "workers",
     params(
@@ -101,7 +101,8 @@ fn check(hello: &WorkerHello) -> Result<(), Problem> {
 async fn beat(State(app): State<AppState>, Held(lease): Held) -> Result<Json<LeaseView>, Problem> {
     let job: &JobId = &lease.job().id;
     app.store.record_lease_heartbeat(job, lease.token(), app.jobs.now_ms()).await?;
-    lease_view(lease.check().await).map(Json)
+    let view = lease_view(lease.check().await)?;
+    Ok(Json(LeaseView { should_yield: lease.should_yield().await?, ..view }))
 }
 
 /// Report progress

@@ -9,7 +9,7 @@ use crate::worker::training::comparison::{Comparison, NO_VIEWS};
 use crate::worker::training::outcome::{AttemptEnd, AttemptError, stop_attempt};
 use crate::worker::training::{TrainingAttempt, held_or_unknown};
 use relume_api::quality::Figures;
-use relume_api::work::LeaseStatus;
+use relume_api::work::{LeaseStatus, Release};
 use relume_scene::Model;
 use relume_train::TrainError;
 use relume_train::eval::EvalError;
@@ -29,7 +29,7 @@ impl Worker {
         }
         while let Some(view) = comparison.waiting.next() {
             if self.stop.is_cancelled() {
-                return attempt.suspend().await.map(ControlFlow::Break);
+                return attempt.suspend(Release::Shutdown).await.map(ControlFlow::Break);
             }
             let number = comparison.compared + 1;
             let message = format!("comparing held-out view {number} of {}", comparison.count);

@@ -8,6 +8,7 @@ pub(super) mod outcome;
 mod preparation;
 mod publish;
 mod time_budget;
+mod time_slice;
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -32,6 +33,7 @@ use relume_spec::training::TrainConfig;
 use relume_train::Trainer;
 use relume_train::time_budget::{Eta, PhotographCost, StepCost};
 use time_budget::{AttemptClock, AttemptPacing, planned_before};
+use time_slice::TimeSlice;
 
 /// The state of one attempt between steps.
 struct TrainingAttempt<'a> {
@@ -59,6 +61,7 @@ impl Worker {
             ControlFlow::Break(ending) => return Ok(ending),
         };
         let (now_ms, step) = (self.source.now_ms(), trainer.progress().step);
+        let mut slice = TimeSlice::new(now_ms, clock.ms());
         let mut reporter =
             ProgressReporter::new(Eta::new(trainer.config(), PhotographCost::of(&capture), step, now_ms));
         let checkpoint_every = trainer.config().checkpoint_every.max(1);
@@ -77,7 +80,15 @@ impl Worker {
         let shown = self.previews.of(&claim.task().job);
         while !attempt.trainer.is_done() {
             if self.stop.is_cancelled() {
-                return attempt.suspend().await;
+                return attempt.suspend(Release::Shutdown).await;
+            }
+            // A worker that runs a single job must not leave it unfinished.
+            if !self.once && slice.is_over(self.source.now_ms()) && attempt.should_yield().await {
+                tracing::info!(
+                    step = attempt.trainer.progress().step,
+                    "paused, because another job runs first"
+                );
+                return attempt.suspend(Release::Preempted).await;
             }
             if self.changes.has_changed().unwrap_or(false) {
                 self.changes.mark_unchanged();
@@ -206,13 +217,21 @@ impl TrainingAttempt<'_> {
         }
     }
 
+    /// Whether another job should run before this one.
+    async fn should_yield(&self) -> bool {
+        self.claim.should_yield().await.unwrap_or_else(|error| {
+            tracing::error!(%error, "the job source failed during a job; the training continues");
+            false
+        })
+    }
+
     /// Stores a checkpoint and returns the job to the queue.
-    async fn suspend(&mut self) -> Result<AttemptEnd, AttemptError> {
+    async fn suspend(&mut self, why: Release) -> Result<AttemptEnd, AttemptError> {
         let step = i64::from(self.trainer.progress().step);
         if step > self.claim.task().checkpoint_step.unwrap_or(0) {
             self.checkpoint().await?;
         }
-        match self.claim.release(Release::Shutdown).await? {
+        match self.claim.release(why).await? {
             LeaseStatus::Held => Ok(AttemptEnd::Stopped),
             LeaseStatus::Cancelling | LeaseStatus::Lost => Ok(stop_attempt(self.claim).await?),
         }

@@ -1,6 +1,8 @@
-//! The import of a resumed job.
+//! The import of a resumed job, and preemption.
 
 use std::path::PathBuf;
+use std::sync::Mutex;
+use std::sync::atomic::AtomicI64;
 
 use async_trait::async_trait;
 use tempfile::TempDir;
@@ -20,8 +22,12 @@ use relume_fixtures::small_set;
 use relume_spec::training::{Preset, TrainOverrides, UpAxis};
 use relume_train::{MemoryBudget, import_in_world};
 
-/// A source without jobs.
-struct NoJobs(watch::Sender<()>);
+/// A source without jobs. Every query of its clock takes `tick_ms`.
+struct NoJobs {
+    changes: watch::Sender<()>,
+    now_ms: AtomicI64,
+    tick_ms: i64,
+}
 
 #[async_trait(?Send)]
 impl JobSource for NoJobs {
@@ -30,11 +36,11 @@ impl JobSource for NoJobs {
     }
 
     fn changes(&self) -> watch::Receiver<()> {
-        self.0.subscribe()
+        self.changes.subscribe()
     }
 
     fn now_ms(&self) -> i64 {
-        0
+        self.now_ms.fetch_add(self.tick_ms, Ordering::SeqCst)
     }
 }
 
@@ -43,6 +49,11 @@ struct FakeClaim {
     task: Task,
     capture: PathBuf,
     checkpoint: Vec<u8>,
+    /// Whether another job waits.
+    should_yield: bool,
+    /// The steps of stored checkpoints, and the reasons for which the job was returned.
+    checkpoints: Mutex<Vec<i64>>,
+    releases: Mutex<Vec<Release>>,
 }
 
 #[async_trait(?Send)]
@@ -67,6 +78,10 @@ impl Claim for FakeClaim {
         Ok(LeaseStatus::Held)
     }
 
+    async fn should_yield(&self) -> Result<bool, JobSourceError> {
+        Ok(self.should_yield)
+    }
+
     async fn progress(&self, _: &JobProgress) -> Result<LeaseStatus, JobSourceError> {
         Ok(LeaseStatus::Held)
     }
@@ -75,7 +90,8 @@ impl Claim for FakeClaim {
         Ok(LeaseStatus::Held)
     }
 
-    async fn checkpoint(&self, _: i64, _: Vec<u8>) -> Result<LeaseStatus, JobSourceError> {
+    async fn checkpoint(&self, step: i64, _: Vec<u8>) -> Result<LeaseStatus, JobSourceError> {
+        self.checkpoints.lock().unwrap().push(step);
         Ok(LeaseStatus::Held)
     }
 
@@ -91,7 +107,8 @@ impl Claim for FakeClaim {
         Ok(LeaseStatus::Held)
     }
 
-    async fn release(&self, _: Release) -> Result<LeaseStatus, JobSourceError> {
+    async fn release(&self, why: Release) -> Result<LeaseStatus, JobSourceError> {
+        self.releases.lock().unwrap().push(why);
         Ok(LeaseStatus::Held)
     }
 }
@@ -129,11 +146,11 @@ fn checkpoint(capture: &std::path::Path, config: &TrainConfig) -> Vec<u8> {
     trainer.checkpoint().unwrap()
 }
 
-/// The world and the step with which an attempt begins.
-async fn begun(claim: &FakeClaim, config: &TrainConfig) -> (WorldUp, u32) {
-    let source = NoJobs(watch::Sender::new(()));
+/// A worker whose clock advances by `tick_ms` at every query.
+fn worker(tick_ms: i64, once: bool) -> Worker {
+    let source = NoJobs { changes: watch::Sender::new(()), now_ms: AtomicI64::new(0), tick_ms };
     let changes = source.changes();
-    let mut worker = Worker {
+    Worker {
         source: Arc::new(source),
         device: OpenedDevice::cpu(),
         steps: Arc::default(),
@@ -142,8 +159,34 @@ async fn begun(claim: &FakeClaim, config: &TrainConfig) -> (WorldUp, u32) {
         changes,
         stop: CancellationToken::new(),
         abandoned: CancellationToken::new(),
-        once: false,
+        once,
+    }
+}
+
+/// The first attempt at a job of `iterations` steps.
+fn claim(capture: PathBuf, iterations: u32) -> FakeClaim {
+    let request = NewJob {
+        capture: "capture".into(),
+        preset: Preset::Draft,
+        overrides: TrainOverrides { iterations: Some(iterations), ..overrides() },
+        ..NewJob::default()
     };
+    let task = Task {
+        job: "job".into(),
+        request,
+        attempt: 1,
+        is_last_attempt: false,
+        total: i64::from(iterations),
+        checkpoint_step: None,
+        traceparent: None,
+    };
+    let (checkpoints, releases) = (Mutex::default(), Mutex::default());
+    FakeClaim { task, capture, checkpoint: Vec::new(), should_yield: false, checkpoints, releases }
+}
+
+/// The world and the step with which an attempt begins.
+async fn begun(claim: &FakeClaim, config: &TrainConfig) -> (WorldUp, u32) {
+    let mut worker = worker(0, false);
     let clock = AttemptClock::start(&worker.source);
     match worker.prepared(claim, config.clone(), &clock).await {
         Ok(ControlFlow::Continue((capture, trainer, _))) => (capture.up.clone(), trainer.progress().step),
@@ -156,23 +199,11 @@ async fn begun(claim: &FakeClaim, config: &TrainConfig) -> (WorldUp, u32) {
 async fn resumed_job_imports_in_the_world_of_its_checkpoint() {
     let folder = TempDir::new().unwrap();
     let path = capture(&folder);
-    let request = NewJob {
-        capture: "capture".into(),
-        preset: Preset::Draft,
-        overrides: overrides(),
-        ..NewJob::default()
-    };
+    let mut claim = claim(path.clone(), 4);
+    let request = &claim.task.request;
     let config = TrainConfig::new(request.preset, &request.overrides).unwrap();
-    let task = Task {
-        job: "job".into(),
-        request,
-        attempt: 2,
-        is_last_attempt: false,
-        total: 4,
-        checkpoint_step: Some(1),
-        traceparent: None,
-    };
-    let mut claim = FakeClaim { task, checkpoint: checkpoint(&path, &config), capture: path };
+    claim.checkpoint = checkpoint(&path, &config);
+    claim.task.checkpoint_step = Some(1);
     let (world, step) = begun(&claim, &config).await;
     assert_eq!((world.direction, step), ([0.0, 1.0, 0.0], 1), "resumed, in the world of the checkpoint");
     claim.task.checkpoint_step = None;
@@ -181,4 +212,30 @@ async fn resumed_job_imports_in_the_world_of_its_checkpoint() {
     (claim.task.checkpoint_step, claim.checkpoint) = (Some(1), b"damaged".to_vec());
     let (world, step) = begun(&claim, &config).await;
     assert_eq!((world, step), (WorldUp::default(), 0), "a damaged checkpoint has no world");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_attempt_yields_to_a_waiting_job_after_its_time_slice() {
+    let folder = TempDir::new().unwrap();
+    let path = capture(&folder);
+    let attempt = async |tick_ms, once, should_yield| {
+        let mut claim = claim(path.clone(), 40);
+        claim.should_yield = should_yield;
+        let end = match worker(tick_ms, once).train(&claim).await {
+            Ok(end) => end,
+            Err(error) => panic!("{}: {}", error.code, error.detail),
+        };
+        (end, claim.checkpoints.into_inner().unwrap(), claim.releases.into_inner().unwrap())
+    };
+    let (end, checkpoints, releases) = attempt(10_000, false, true).await;
+    assert_eq!((end, releases), (AttemptEnd::Stopped, vec![Release::Preempted]));
+    assert!(checkpoints.len() == 1 && (1..40).contains(&checkpoints[0]), "{checkpoints:?}");
+    for (tick_ms, once, should_yield, case) in [
+        (10_000, false, false, "no job waits"),
+        (0, false, true, "the slice is not over"),
+        (10_000, true, true, "a worker for a single job"),
+    ] {
+        let (end, _, releases) = attempt(tick_ms, once, should_yield).await;
+        assert_eq!((end, releases), (AttemptEnd::Published, vec![]), "{case}");
+    }
 }

@@ -30,9 +30,14 @@ impl AttemptClock {
         Self { source: source.clone(), start_ms: source.now_ms() }
     }
 
+    /// Milliseconds since the start of the attempt.
+    pub(super) fn ms(&self) -> i64 {
+        (self.source.now_ms() - self.start_ms).max(0)
+    }
+
     /// Seconds since the start of the attempt.
     pub(super) fn seconds(&self) -> f64 {
-        (self.source.now_ms() - self.start_ms).max(0) as f64 / 1e3
+        self.ms() as f64 / 1e3
     }
 }
 
