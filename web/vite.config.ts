@@ -12,7 +12,7 @@ export default defineConfig({
     assetsInlineLimit: 0,
     modulePreload: { polyfill: false },
     rollupOptions: {
-      input: { app: 'index.html', docs: 'docs.html', 'relume-viewer': 'src/viewer/element.ts' },
+      input: { app: 'index.html', docs: 'docs.html', share: 'share/index.html', 'relume-viewer': 'src/viewer/element.ts' },
       preserveEntrySignatures: 'exports-only',
       output: {
         // Other sites name the viewer, so it keeps its name; all else is named by its content and cached for ever.

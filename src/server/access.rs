@@ -15,6 +15,7 @@ use crate::server::signing::{SignedQuery, SignedResource};
 use crate::server::signing_secret::{SigningSecret, digest};
 #[cfg(feature = "web")]
 use crate::server::web;
+use relume_api::ModelId;
 use relume_api::keys::Scope::{self, Admin, Metrics, Read, Render, Submit, Work};
 
 /// The requirement of a route.
@@ -29,6 +30,9 @@ enum Access {
 }
 
 use Access::{Needs, Open, Operator};
+
+/// Header with the query of a share page, in the requests of that page.
+const SHARE: &str = "relume-share";
 
 /// All operations. The handler of a missing operation gets no caller and fails.
 const TABLE: &[(Method, &str, Access)] = &[
@@ -81,6 +85,8 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::GET, "/v1/models/{id}/thumbnail", Needs(Read)),
     (Method::GET, "/v1/models/{id}/stream", Needs(Read)),
     (Method::GET, "/v1/models/{id}/light", Needs(Read)),
+    // The page shows a model only to callers whose link is valid.
+    (Method::GET, "/share/{id}", Open),
     (Method::POST, "/v1/signed-urls", Needs(Read)),
     (Method::OPTIONS, "/v1/uploads", Open),
     (Method::GET, "/v1/uploads", Needs(Read)),
@@ -171,9 +177,13 @@ impl AccessControl {
         mut request: Request,
         rate_limit: &mut Option<RateLimitStatus>,
     ) -> Result<Request, Problem> {
-        let caller = match SignedQuery::is_present(request.uri().query()) {
-            true => self.signer(&mut request).await?,
-            false => self.keys.caller(bearer(&request)).await?.ok_or_else(Problem::unauthorized)?,
+        let caller = if SignedQuery::is_present(request.uri().query()) {
+            self.signer(&mut request).await?
+        } else if let Some(share) = request.headers().get(SHARE).cloned() {
+            let model = shared_model(&request).ok_or_else(invalid_signature)?;
+            self.sharer(&model, share.to_str().unwrap_or_default()).await?
+        } else {
+            self.keys.caller(bearer(&request)).await?.ok_or_else(Problem::unauthorized)?
         };
         caller.record_in_span();
         *rate_limit = self.rate_limiter.take(&caller, self.keys.now_ms());
@@ -193,26 +203,57 @@ impl AccessControl {
     async fn signer(&self, request: &mut Request) -> Result<Caller, Problem> {
         let uri = request.uri().clone();
         let signed = SignedQuery::parse(uri.query()).ok_or_else(invalid_signature)?;
-        let reads = matches!(*request.method(), Method::GET | Method::HEAD);
-        if !reads || SignedResource::of(uri.path()).is_none() {
+        if !reads(request) || SignedResource::of(uri.path()).is_none() {
             return Err(invalid_signature());
         }
-        let secret = self.signing.read().await.map_err(Problem::internal)?;
-        let caller = self.keys.bearer_of(signed.key).await?;
-        let (Some(secret), Some(caller)) = (secret, caller) else { return Err(invalid_signature()) };
-        let is_over = self.keys.now_ms() / 1000 >= signed.expires;
-        if is_over || !signed.is_valid_for(&caller, &secret, uri.path()) {
-            return Err(invalid_signature());
-        }
-        caller.require_scope(Read)?;
+        let caller = signer(&self.keys, &self.signing, &signed, uri.path()).await?;
         let query = signed.query.map_or_else(String::new, |query| format!("?{query}"));
         *request.uri_mut() = format!("{}{query}", uri.path()).parse().map_err(Problem::internal)?;
-        self.keys.record_signed_use(&caller);
-        let until = signed.expires.saturating_mul(1000);
-        let expires_ms = Some(caller.expires_ms.map_or(until, |key| key.min(until)));
-        let signed_under = Some(digest(&secret));
-        Ok(Caller { scopes: vec![Read], expires_ms, signed_under, ..caller })
+        Ok(caller)
     }
+
+    /// The caller that shared a model. `share` is the query of its page.
+    async fn sharer(&self, model: &ModelId, share: &str) -> Result<Caller, Problem> {
+        let signed = SignedQuery::parse(Some(share)).ok_or_else(invalid_signature)?;
+        signer(&self.keys, &self.signing, &signed, &format!("/share/{model}")).await
+    }
+}
+
+/// The model whose picture a request reads, which its share page may do.
+fn shared_model(request: &Request) -> Option<ModelId> {
+    match SignedResource::of(request.uri().path()) {
+        Some(SignedResource::Picture(model)) if reads(request) => Some(model),
+        _ => None,
+    }
+}
+
+/// The caller that signed a URL with this path, with the scope to read only.
+///
+/// # Errors
+/// 403 if the signature is not valid.
+pub(super) async fn signer(
+    keys: &Keyring,
+    signing: &SigningSecret,
+    signed: &SignedQuery<'_>,
+    path: &str,
+) -> Result<Caller, Problem> {
+    let secret = signing.read().await.map_err(Problem::internal)?;
+    let caller = keys.bearer_of(signed.key).await?;
+    let (Some(secret), Some(caller)) = (secret, caller) else { return Err(invalid_signature()) };
+    let is_over = keys.now_ms() / 1000 >= signed.expires;
+    if is_over || !signed.is_valid_for(&caller, &secret, path) {
+        return Err(invalid_signature());
+    }
+    caller.require_scope(Read)?;
+    keys.record_signed_use(&caller);
+    let until = signed.expires.saturating_mul(1000);
+    let expires_ms = Some(caller.expires_ms.map_or(until, |key| key.min(until)));
+    let signed_under = Some(digest(&secret));
+    Ok(Caller { scopes: vec![Read], expires_ms, signed_under, ..caller })
+}
+
+fn reads(request: &Request) -> bool {
+    matches!(*request.method(), Method::GET | Method::HEAD)
 }
 
 fn invalid_signature() -> Problem {

@@ -63,6 +63,7 @@ mod router;
 mod run;
 mod same_site;
 mod sample_capture;
+mod share_page;
 mod signed_urls;
 mod signing;
 mod signing_secret;

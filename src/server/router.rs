@@ -15,8 +15,8 @@ use crate::server::problem::Problem;
 use crate::server::web;
 use crate::server::{
     calibrations, cameras, captures, deletion, description, environments, events, exports, files, health,
-    jobs, keys, models, photographs, poses, previews, renders, signed_urls, thumbnails, uploads, usage,
-    viewer, webhooks, workers,
+    jobs, keys, models, photographs, poses, previews, renders, share_page, signed_urls, thumbnails, uploads,
+    usage, viewer, webhooks, workers,
 };
 
 fn families() -> OpenApiRouter<AppState> {
@@ -28,6 +28,7 @@ fn families() -> OpenApiRouter<AppState> {
         .merge(events::routes())
         .merge(keys::routes())
         .merge(signed_urls::routes())
+        .merge(share_page::routes())
         .merge(models::routes())
         .merge(files::routes())
         .merge(exports::routes())

@@ -24,8 +24,10 @@ pub(super) fn routes() -> OpenApiRouter<AppState> {
 /// Sign a URL
 ///
 /// Signs a `GET` URL for clients that cannot send a key, such as `<img>` and `EventSource`. Allowed are the
-/// URLs of a thumbnail, of a model's stream, light or file, of an export's file, and of a job's events. The
-/// URL gives read access to that resource until it expires, or until the caller's key expires or is revoked.
+/// URLs of a thumbnail, of a model's stream, light or file, of an export's file, of a job's events, and of the
+/// page that shows a model (`/share/{id}`). The URL gives read access to that resource until it expires, or
+/// until the caller's key expires or is revoked. The URL of a page also gives access to the thumbnails, the
+/// stream and the lights of its model.
 #[utoipa::path(
     post, path = "/v1/signed-urls", tag = "signed-urls", request_body = NewSignedUrl,
     responses(
@@ -47,7 +49,7 @@ async fn sign_url(
         target.ok_or_else(|| wrong("must be the path and query of a URL, at most 2048 characters"))?;
     let subject = SignedResource::of(target.path());
     let subject = subject.ok_or_else(|| {
-        wrong("must be the path of a thumbnail, a stream, a light or a file of a model, of the file of an export, or of the events of a job")
+        wrong("must be the path of a thumbnail, a stream, a light or a file of a model, of the file of an export, of the events of a job, or /share/ and the identifier of a model")
     })?;
     must_exist(&app, &caller, &subject).await?;
 
@@ -66,7 +68,7 @@ async fn sign_url(
 /// 404 if the resource is not one of the caller's tenant.
 async fn must_exist(app: &AppState, caller: &Caller, subject: &SignedResource) -> Result<(), Problem> {
     let (there, what, id) = match subject {
-        SignedResource::Picture(id) => {
+        SignedResource::Picture(id) | SignedResource::Share(id) => {
             (app.store.model(&caller.tenant, id).await?.is_some(), "model", id.to_string())
         }
         SignedResource::File(id, name) => {

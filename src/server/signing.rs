@@ -24,11 +24,16 @@ pub(super) enum SignedResource {
     Export(ExportId),
     /// The events of a job.
     Events(JobId),
+    /// The page that shows a model. Its signature also permits the pictures of the model.
+    Share(ModelId),
 }
 
 impl SignedResource {
     /// The resource of a path, if URLs of it may be signed.
     pub(super) fn of(path: &str) -> Option<Self> {
+        if let Some(id) = path.strip_prefix("/share/") {
+            return (!id.contains('/')).then(|| Self::Share(id.into()));
+        }
         let parts: Vec<&str> = path.strip_prefix("/v1/")?.split('/').collect();
         match *parts.as_slice() {
             ["models", id, "thumbnail" | "stream" | "light"] => Some(Self::Picture(id.into())),

@@ -125,6 +125,12 @@ fn send(path: &str, headers: HeaderMap) -> Response {
     }
 }
 
+/// The text of a page and its content security policy; `None` if there is no such page.
+pub(super) fn page(path: &str) -> Option<(String, &'static str)> {
+    let file = WebAsset::find(path)?;
+    Some((String::from_utf8_lossy(&file.bytes).into_owned(), POLICY))
+}
+
 /// The redirection of a browser that opened a path of no route, e.g. `/models/ID`, to the page of that path in the web app, `/#/models/ID`.
 /// `None` for paths of the API and for other clients, which do not ask for HTML.
 pub(super) fn redirect(method: &Method, uri: &Uri, headers: &HeaderMap) -> Option<Response> {

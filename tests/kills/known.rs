@@ -11,6 +11,7 @@ pub enum Kind {
     Upload,
     Job,
     Model,
+    Export,
     Webhook,
     Key,
 }
@@ -36,8 +37,10 @@ pub struct Thing {
     pub ended: Option<JobState>,
     /// True after a confirmed cancellation of the job.
     pub stopping: bool,
-    /// The capture of a job.
+    /// The capture of a job, the model of an export.
     pub parent: String,
+    /// Possible reflectances of the calibration of a model, percent: the last confirmed one, and later ones without an answer.
+    pub reflectances: BTreeSet<Option<i32>>,
     /// The complete key, for a key.
     pub secret: String,
     /// Confirmed bytes of an upload.
@@ -56,6 +59,7 @@ impl Thing {
             ended: None,
             stopping: false,
             parent: String::new(),
+            reflectances: [None].into(),
             secret: String::new(),
             offset: 0,
             archive: Vec::new(),

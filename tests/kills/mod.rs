@@ -111,7 +111,7 @@ async fn two_hundred_kills_lose_nothing_that_was_acknowledged() {
     let found = sound(data.path()).await;
     assert!(found.orphans.is_empty(), "{:?}", found.orphans);
     let known = |name: &str| {
-        ["captures/", "environments/", "attempts/", "uploads/", "orphans/"]
+        ["captures/", "environments/", "attempts/", "exports/", "models/", "uploads/", "orphans/"]
             .iter()
             .any(|f| name.starts_with(f))
     };
@@ -135,6 +135,7 @@ async fn the_checks_find_what_is_lost(data: &Path, clients: &[Requests]) {
     for (kind, loss) in [
         (Kind::Capture, "UPDATE captures SET deleted_ms = 1"),
         (Kind::Job, "UPDATE jobs SET deleted_ms = 1"),
+        (Kind::Export, "UPDATE exports SET deleted_ms = 1"),
         (Kind::Webhook, "DELETE FROM webhooks"),
         (Kind::Key, "UPDATE keys SET revoked_ms = 1"),
     ] {

@@ -1,1 +1,1 @@
-export{t as RelumeViewer}from"./assets/element-DUTV4TOk.js";
+export{t as RelumeViewer}from"./assets/element-CqThg2By.js";

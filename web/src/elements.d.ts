@@ -19,6 +19,7 @@ declare module 'preact' {
         fov?: number
         target?: string
         apiKey?: string | undefined
+        share?: string | undefined
       }
     }
   }

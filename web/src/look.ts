@@ -1,4 +1,4 @@
-import type { Camera, NewExport, RenderRequest } from './api/types'
+import type { Camera, EnvironmentSpec, Export, NewExport, RenderRequest } from './api/types'
 
 /** The display settings of a model, which the URL of its page stores. */
 export interface Look {
@@ -27,6 +27,11 @@ export interface View {
 export const PLAIN: Look = { light: 'studio', rotation: 0, exposure: 0, background: 'transparent', output: 'rgb' }
 
 export const OUTPUTS = ['rgb', 'albedo', 'normal', 'roughness', 'metalness', 'ao', 'depth'] as const
+
+/** The lights that the page of a shared model offers, with their labels. */
+export const SHARED_LIGHTS = [
+  ['recovered', 'captured'], ['studio', 'studio'], ['sunset', 'sunset'], ['overcast', 'overcast'], ['dawn', 'dawn'], ['night', 'night'],
+] as const
 
 /** Outputs whose names differ in the API. */
 const API_OUTPUTS: Record<string, string> = { metalness: 'metallic', ao: 'visibility' }
@@ -99,11 +104,15 @@ export const TAKEN = {
   mesh: 'Mesh with textures (.glb)',
 } as const
 
-/** What an export shows, for the list of exports. */
-export function exportName(what: keyof typeof TAKEN, light: string, frames: number, side: number): string {
-  const name = TAKEN[what].replace(/ \(.*\)$/, '')
-  if (what === 'video' || what === 'frames') return `${name}, ${frames} frames, ${side} × ${side} px, ${light}`
-  return what === 'relit' ? `PLY, ${light}` : name
+/** What an export shows, for the list of exports. `lightName` names the light of its request. */
+export function exportName({ kind, request, progress }: Export, lightName: (light: EnvironmentSpec | null | undefined) => string): string {
+  if (request?.kind === 'frames') {
+    const what = `${request.turntable ? 'Turntable' : 'Camera path'}, ${request.package === 'mp4' ? 'video' : 'pictures'}`
+    const size = request.width && request.height ? `, ${request.width} × ${request.height} px` : ''
+    return `${what}, ${progress.total} frames${size}, ${lightName(request.environment)}`
+  }
+  if (request && 'environment' in request && request.environment) return `${kind.toUpperCase()}, ${lightName(request.environment)}`
+  return kind in TAKEN ? TAKEN[kind as keyof typeof TAKEN].replace(/ \(.*\)$/, '') : kind
 }
 
 /** The request for an export under the light of a look. A turntable begins at the camera of the view. */

@@ -8,6 +8,7 @@ import { createRequire } from 'node:module'
 import { chromium } from 'playwright-core'
 import { documentedApi } from './documentation.mjs'
 import { keyIsNotPolled, lostServer, refusedTraining, unknownPaths, wrongFiles } from './failures.mjs'
+import { sharedModel, sharedWithoutWebGpu } from './sharing.mjs'
 import { calibratedModel, dimmedLight, movedCamera, openedModel, takenAway, turnedLight } from './viewing.mjs'
 
 const [base, key, capture, light, site, photos, shots] = process.argv.slice(2)
@@ -275,6 +276,10 @@ await audit(page, 'model-exports')
 await page.getByRole('button', { name: 'Delete PLY, relightable' }).click()
 await page.getByRole('button', { name: '↓ PLY, relightable' }).waitFor({ state: 'detached' })
 
+// For people without a key.
+await sharedModel(page, open, audit)
+await sharedWithoutWebGpu(page, open)
+
 // A phone: nothing is wider than the screen.
 const wide = await page.evaluate(() => document.querySelector('relume-viewer').camera().distance)
 await page.setViewportSize({ width: 390, height: 844 })
@@ -314,7 +319,9 @@ await go('/jobs')
 await heading('Jobs').waitFor()
 await audit(page, 'phone-jobs')
 
-await documentedApi(await open({ viewport: { width: 1280, height: 900 } }), base, key)
+const documentation = await open({ viewport: { width: 1280, height: 900 } })
+await documentedApi(documentation, base, key)
+await audit(documentation, 'docs')
 
 assert.deepEqual(faults, [], 'nothing was told to the console')
 elsewhere.close()

@@ -336,6 +336,9 @@ pub struct ExportView {
     pub model: ModelId,
     /// Kind.
     pub kind: ExportKind,
+    /// The request. Absent if its JSON is longer than 4,096 bytes, as with a long camera path.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub request: Option<NewExport>,
     /// State.
     pub state: ExportState,
     /// Progress.

@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewSignedUrl {
-    /// Path and query of a thumbnail, of a model's stream, light or file, of an export's file, or of a job's
-    /// events, at most 2048 characters, e.g. `/v1/models/ID/thumbnail?size=256`.
+    /// Path and query of a thumbnail, of a model's stream, light or file, of an export's file, of a job's
+    /// events, or of the page of a model, at most 2048 characters, e.g. `/v1/models/ID/thumbnail?size=256` or
+    /// `/share/ID?light=sunset`.
     #[schema(min_length = 1, max_length = 2048)]
     pub path: String,
     /// Life of the URL, seconds, 1 to 604,800 (one week). Omitted: 3600.

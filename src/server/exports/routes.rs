@@ -79,7 +79,7 @@ async fn create_export(
     let total = request::check(&app, &caller.tenant, &request).await?;
     app.store.admit_bytes_of(&caller.tenant, 0).await?;
     let id = app.jobs.fresh_id();
-    let export = ExportRecord::queued(caller.tenant.clone(), id, model, (request.kind(), total), now_ms);
+    let export = ExportRecord::queued(caller.tenant.clone(), id, model, (&request, total), now_ms);
     let answer = |export: &ExportRecord| serde_json::to_string(&export.clone().view()).unwrap_or_default();
     let most = app.exports.policy.each;
     let submitted = app.store.submit_export(&export, &request, key.as_ref(), most, answer).await;

@@ -60,12 +60,21 @@ impl OutboundTarget {
     /// If there are none, or if one of them is not public. The error does not distinguish the cases, so that it reveals no
     /// internal names.
     pub(in crate::server) async fn addresses(&self, allow_private: bool) -> Result<Vec<SocketAddr>, String> {
-        let found: Vec<SocketAddr> = match self.host.parse::<IpAddr>() {
+        let resolve = async |host: &str, port| {
+            tokio::net::lookup_host((host, port)).await.map(Iterator::collect).unwrap_or_default()
+        };
+        self.addresses_by(resolve, allow_private).await
+    }
+
+    /// As [`Self::addresses`], with the resolver of names.
+    async fn addresses_by(
+        &self,
+        resolve: impl AsyncFnOnce(&str, u16) -> Vec<SocketAddr>,
+        allow_private: bool,
+    ) -> Result<Vec<SocketAddr>, String> {
+        let found = match self.host.parse::<IpAddr>() {
             Ok(address) => vec![(address, self.port).into()],
-            Err(_) => tokio::net::lookup_host((self.host.as_str(), self.port))
-                .await
-                .map(Iterator::collect)
-                .unwrap_or_default(),
+            Err(_) => resolve(&self.host, self.port).await,
         };
         let is_good = |address: &SocketAddr| allow_private || is_public(address.ip());
         if !found.is_empty() && found.iter().all(is_good) {
@@ -115,6 +124,35 @@ fn is_public_v6(address: Ipv6Addr) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[tokio::test]
+    async fn a_name_with_a_private_address_is_refused_entirely() {
+        let target = OutboundTarget::parse("https://example.org/", false).unwrap();
+        let addresses = |texts: &[&str]| -> Vec<SocketAddr> {
+            texts.iter().map(|text| (text.parse::<IpAddr>().unwrap(), 443).into()).collect()
+        };
+        let resolved = async |texts: &[&str], allow_private| {
+            let resolve = async |host: &str, port| {
+                assert_eq!((host, port), ("example.org", 443));
+                addresses(texts)
+            };
+            target.addresses_by(resolve, allow_private).await
+        };
+        let public = ["93.184.216.34", "2606:4700::1"];
+        assert_eq!(resolved(&public, false).await, Ok(addresses(&public)), "the control");
+        for private in ["10.0.0.1", "127.0.0.1", "169.254.169.254", "::1", "fd00::1", "::ffff:10.0.0.1"] {
+            for mixed in [[public[0], private], [private, public[0]], [public[1], private]] {
+                let refused = resolved(&mixed, false).await.unwrap_err();
+                assert_eq!(refused, "its host has no public address", "{mixed:?}");
+                assert_eq!(
+                    resolved(&mixed, true).await,
+                    Ok(addresses(&mixed)),
+                    "private addresses are permitted"
+                );
+            }
+        }
+        assert!(resolved(&[], true).await.is_err(), "a name without addresses");
+    }
 
     #[test]
     fn outbound_urls_are_parsed_or_refused() {

@@ -22,7 +22,8 @@ pub(super) use removal::delete_exports_of;
 macro_rules! columns {
     () => {
         "id, tenant, model_id, kind, state, done, total, file_name, content_type, artifact, bytes, sha256, error_code,
-         error_detail, created_ms, started_ms, finished_ms"
+         error_detail, created_ms, started_ms, finished_ms,
+         CASE WHEN length(CAST(request AS TEXT)) <= 4096 THEN request END AS short_request"
     };
 }
 use columns;

@@ -1,6 +1,7 @@
 //! Rows of exports.
 
 use sqlx::FromRow;
+use sqlx::types::Json;
 
 use crate::store::job_view::rfc3339;
 use crate::store::page::paginated;
@@ -12,7 +13,10 @@ use relume_api::{ExportId, ModelId, TenantId};
 /// The folder of finished exports among the artifacts, and of the work folders in the data directory.
 pub(in crate::store) const EXPORTS: &str = "exports";
 
-/// An export without its request, which may be long.
+/// Maximum length of a request that views contain, bytes of JSON. The column `short_request` of queries has the same limit.
+const MAX_SHOWN_REQUEST: usize = 4096;
+
+/// An export.
 #[derive(Debug, Clone, FromRow)]
 pub struct ExportRecord {
     /// Identifier.
@@ -23,6 +27,9 @@ pub struct ExportRecord {
     pub model_id: ModelId,
     /// Kind of the export.
     pub kind: ExportKind,
+    /// The request, if it is short and the query selects it.
+    #[sqlx(default)]
+    pub short_request: Option<Json<NewExport>>,
     /// State of the export.
     pub state: ExportState,
     /// Progress of the export.
@@ -51,19 +58,21 @@ pub struct ExportRecord {
 }
 
 impl ExportRecord {
-    /// A queued export of a tenant.
+    /// A queued export of a tenant, with `total` steps.
     pub fn queued(
         tenant: TenantId,
         id: ExportId,
         model_id: ModelId,
-        (kind, total): (ExportKind, i64),
+        (request, total): (&NewExport, i64),
         created_ms: i64,
     ) -> Self {
+        let is_short = serde_json::to_vec(request).is_ok_and(|json| json.len() <= MAX_SHOWN_REQUEST);
         Self {
             id,
             tenant,
             model_id,
-            kind,
+            kind: request.kind(),
+            short_request: is_short.then(|| Json(request.clone())),
             state: ExportState::Queued,
             progress: ExportProgress { done: 0, total },
             file_name: None,
@@ -94,6 +103,7 @@ impl ExportRecord {
             id: self.id,
             model: self.model_id,
             kind: self.kind,
+            request: self.short_request.map(|Json(request)| request),
             state: self.state,
             progress: self.progress,
             file,

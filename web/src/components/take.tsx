@@ -1,7 +1,7 @@
 import { useEffect, useState } from 'preact/hooks'
 import { address, apiKey, post, remove } from '../api/client'
 import { explain, type PageError } from '../api/page-error'
-import type { Environments, Export, Listed, SignedUrl } from '../api/types'
+import type { Environments, EnvironmentSpec, Export, Listed, SignedUrl } from '../api/types'
 import { bytes, called, spoken } from '../format'
 import { useLoaded } from '../hooks'
 import { exportName, exportOf, TAKEN, type Look, type View } from '../look'
@@ -9,8 +9,6 @@ import { Badge, Failure } from './common'
 
 type Taken = keyof typeof TAKEN
 
-/** Names of the exports of this browser in local storage, by their identifiers. The server does not record the light and the size. */
-const LABEL = 'relume-export-'
 /** Interval between two requests for an unfinished export, milliseconds. */
 const EVERY = 1500
 
@@ -31,9 +29,7 @@ export function TakeAlong({ model, look, view, lights }: { model: string; look: 
   }, (failure: unknown) => setError(explain(failure)))
   const start = (event: Event) => {
     event.preventDefault()
-    const label = exportName(what, nameOfLight(look, lights), frames, side)
-    const made = post<Export>(`v1/models/${encodeURIComponent(model)}/exports`, exportOf(what, look, view, lights?.builtin ?? [], frames, side))
-    void act(made.then(({ id }) => localStorage.setItem(LABEL + id, label)))
+    void act(post<Export>(`v1/models/${encodeURIComponent(model)}/exports`, exportOf(what, look, view, lights?.builtin ?? [], frames, side)))
   }
   const isTurntable = what === 'frames' || what === 'video'
   return (
@@ -55,7 +51,7 @@ export function TakeAlong({ model, look, view, lights }: { model: string; look: 
         <div class="row"><button type="submit">Make it</button></div>
       </form>
       <Failure error={error ?? made.error} />
-      {exports.length > 0 ? <ul class="notices" aria-label="Made of this model">{exports.map((one) => <Made of={one} key={one.id} onAct={act} />)}</ul> : null}
+      {exports.length > 0 ? <ul class="notices" aria-label="Made of this model">{exports.map((one) => <Made of={one} key={one.id} lights={lights} onAct={act} />)}</ul> : null}
     </section>
   )
 }
@@ -69,10 +65,11 @@ function Whole({ id, label, value, least, most, onInput }: { id: string; label: 
   )
 }
 
-function nameOfLight({ light, rotation }: Look, lights: Environments | undefined): string {
-  const uploaded = lights?.items.find(({ id }) => id === light)
-  const name = light === 'recovered' ? 'captured light' : uploaded ? called(uploaded, 'Light') : light
-  return rotation ? `${name} turned by ${rotation}°` : name
+/** The name of the light in a request. */
+function nameOfLight(light: EnvironmentSpec | null | undefined, lights: Environments | undefined): string {
+  const uploaded = lights?.items.find(({ id }) => id === light?.id)
+  const name = uploaded ? called(uploaded, 'Light') : light?.id ? 'an uploaded light' : light?.builtin && light.builtin !== 'recovered' ? light.builtin : 'captured light'
+  return light?.rotation_deg ? `${name} turned by ${Math.round(light.rotation_deg)}°` : name
 }
 
 /** How long an export still takes, from the frames that it has made. */
@@ -82,17 +79,16 @@ function timeLeft({ started_at, progress: { done, total } }: Export): string {
 }
 
 /** One export: its progress or its file. */
-function Made({ of, onAct }: { of: Export; onAct: (work: Promise<unknown>) => void }) {
-  const { id, kind, state, progress, file, error } = of
-  const name = localStorage.getItem(LABEL + id) ?? kind
-  const discard = () => remove(`v1/exports/${id}`).then(() => localStorage.removeItem(LABEL + id))
+function Made({ of, lights, onAct }: { of: Export; lights: Environments | undefined; onAct: (work: Promise<unknown>) => void }) {
+  const { id, state, progress, file, error } = of
+  const name = exportName(of, (light) => nameOfLight(light, lights))
   const isOver = state !== 'queued' && state !== 'running'
   return (
     <li class="stack">
       <div class="row">
         {file ? <button type="button" onClick={() => onAct(download(file.href))}>↓ {name}</button> : <span>{name}</span>}
         {file ? <span class="muted small">{bytes(file.bytes)}</span> : <Badge state={state} />}
-        <button type="button" class="quiet" aria-label={`${isOver ? 'Delete' : 'Cancel'} ${name}`} onClick={() => onAct(discard())}>{isOver ? 'Delete' : 'Cancel'}</button>
+        <button type="button" class="quiet" aria-label={`${isOver ? 'Delete' : 'Cancel'} ${name}`} onClick={() => onAct(remove(`v1/exports/${id}`))}>{isOver ? 'Delete' : 'Cancel'}</button>
       </div>
       {state === 'running' ? <><progress aria-label={`${name}: ${progress.done} of ${progress.total}`} value={progress.done} max={progress.total} /><span class="hint">{timeLeft(of)}</span></> : null}
       {error ? <Failure error={{ what: 'The export failed.', remedy: 'Delete it and make it again.', detail: error.detail }} /> : null}

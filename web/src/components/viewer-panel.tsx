@@ -1,9 +1,9 @@
 import { useEffect, useRef, useState } from 'preact/hooks'
-import { address, apiKey } from '../api/client'
+import { address, apiKey, post } from '../api/client'
 import { explain, type PageError } from '../api/page-error'
-import type { Environments, Model } from '../api/types'
+import type { Environments, Model, SignedUrl } from '../api/types'
 import { bytes, called } from '../format'
-import { backgroundOf, curl, readView, requestOf, type Look, type View } from '../look'
+import { backgroundOf, curl, readView, requestOf, written, type Look, type View } from '../look'
 import type { RelumeViewer } from '../viewer/element'
 import { recorded } from '../viewer/photographed'
 import { Failure, Picture, save } from './common'
@@ -11,6 +11,8 @@ import { LightDial } from './dial'
 
 /** Width and height of the frame in the curl command, pixels. */
 const COMMAND_SIZE = 1024
+/** Life of the link to share, seconds. */
+const SHARED_FOR = 7 * 24 * 3600
 
 interface ViewerPanelProps {
   model: Model
@@ -105,6 +107,7 @@ export function ViewerPanel({ model, look, query, lights, view, onView, onRotati
       <div class="bar">
         <button type="button" onClick={() => void act(keep())}>Save the picture</button>
         <button type="button" onClick={() => void act(copy(location.href, 'The link'))}>Copy the link</button>
+        <button type="button" title="A page with this model alone, for people without a key" onClick={() => void act(shared(model.id, look, view))}>Copy a link to share</button>
         <button type="button" aria-pressed={turning} onClick={() => setTurning(!turning)}>{turning ? 'Stop turning' : 'Turn'}</button>
         {recorded(model.card) ? <button type="button" aria-pressed={marked} onClick={() => setMarked(!marked)}>Photographed directions</button> : null}
       </div>
@@ -126,6 +129,15 @@ function Poster({ model, light, arrived }: { model: string; light: string; arriv
       <p role="status"><span class="spinner" />{arrived ? text : 'The model is being loaded'}</p>
     </div>
   )
+}
+
+/** Copies the link of the page that shows only this model. With a key the link is signed. */
+async function shared(model: string, look: Look, view: View | undefined): Promise<string> {
+  const path = `/share/${encodeURIComponent(model)}?${new URLSearchParams(written(look, view, undefined))}`
+  if (!apiKey()) return copy(address(path), 'The link to share')
+  const { url } = await post<SignedUrl>('v1/signed-urls', { path, expires_in: SHARED_FOR })
+  await copy(address(url), 'The link to share')
+  return 'The link to share was copied. Whoever has it sees this model without a key, for 7 days or until the key is revoked'
 }
 
 async function copy(text: string, what: string): Promise<string> {

@@ -61,6 +61,7 @@ export class RelumeViewer extends HTMLElement {
   #engine: Engine | undefined
   #map: PhotographedMap | undefined
   #apiKey: string | undefined
+  #share: string | undefined
   /** Time of the last rotation of `auto-rotate`, milliseconds. */
   #turned = 0
 
@@ -76,6 +77,16 @@ export class RelumeViewer extends HTMLElement {
 
   set apiKey(key: string | undefined) {
     this.#apiKey = key
+    if (this.isConnected) void this.#open()
+  }
+
+  /** The query of the model's share page. The viewer sends it with every request, in place of a key. */
+  get share(): string | undefined {
+    return this.#share
+  }
+
+  set share(query: string | undefined) {
+    this.#share = query
     if (this.isConnected) void this.#open()
   }
 
@@ -132,7 +143,7 @@ export class RelumeViewer extends HTMLElement {
     this.#close()
     const model = this.getAttribute('model')
     if (!model) return
-    const frames = new Frames(this.#server(), model, this.#apiKey)
+    const frames = new Frames(this.#server(), model, { apiKey: this.#apiKey, share: this.#share })
     this.#frames = frames
     try {
       const live = await LiveView.open(frames, this.#listener(frames))

@@ -18,6 +18,10 @@ export interface Look {
 /** Outputs whose names differ in the API. */
 const OUTPUTS: Record<string, string> = { metalness: 'metallic', ao: 'visibility' }
 
+/** Sides of a thumbnail, pixels. */
+const SMALLEST_THUMBNAIL = 16
+const LARGEST_THUMBNAIL = 1024
+
 const BUILTIN = ['recovered', 'studio', 'sunset', 'overcast', 'dawn', 'night', 'white']
 
 /** The body of a request for a frame. */
@@ -40,13 +44,15 @@ export class Frames {
   readonly #server: string
   readonly #model: string
   readonly #headers: Record<string, string>
+  readonly #isShared: boolean
   readonly #closed = new AbortController()
 
-  /** `server` must end with a slash. */
-  constructor(server: string, model: string, apiKey?: string) {
+  /** `server` must end with a slash. `share` is the query of the share page of the model. */
+  constructor(server: string, model: string, { apiKey, share }: { apiKey?: string | undefined; share?: string | undefined } = {}) {
     this.#server = server
     this.#model = encodeURIComponent(model)
-    this.#headers = apiKey ? { Authorization: `Bearer ${apiKey}` } : {}
+    this.#isShared = Boolean(share)
+    this.#headers = share ? { 'Relume-Share': share } : apiKey ? { Authorization: `Bearer ${apiKey}` } : {}
   }
 
   close(): void {
@@ -55,6 +61,8 @@ export class Frames {
 
   /** The photographed directions of the model, or its bounding sphere if it does not record them; capture units. */
   async framing(): Promise<PhotographedViews | { centre: [number, number, number]; radius: number }> {
+    // The frames of a shared model are thumbnails, whose camera has its own centre and distance.
+    if (this.#isShared) return { centre: [0, 0, 0], radius: 1 }
     const model = (await (await this.#ask(`models/${this.#model}`)).json()) as components['schemas']['ModelView']
     const views = recorded(model.card)
     if (views) return views
@@ -83,10 +91,24 @@ export class Frames {
 
   /** A frame as a PNG. `fast` reduces detail to save time. */
   async frame(look: Look, view: OrbitView, size: [number, number], fast = false): Promise<Blob> {
+    if (this.#isShared) return this.#thumbnail(look, view, size, fast)
     const body = JSON.stringify(renderRequest(look, view, size, fast))
     const headers = { 'Content-Type': 'application/json', Accept: 'image/png' }
     const answer = await this.#ask(`models/${this.#model}/render`, { method: 'POST', body, headers })
     return answer.blob()
+  }
+
+  /** A square picture in place of a frame, for a page that may read but not render. */
+  async #thumbnail({ environment }: Look, view: OrbitView, [width, height]: [number, number], fast: boolean): Promise<Blob> {
+    const side = Math.min(LARGEST_THUMBNAIL, Math.max(SMALLEST_THUMBNAIL, Math.min(width, height)))
+    const query = new URLSearchParams({
+      env: environment,
+      size: String(side),
+      azimuth: view.azimuth.toFixed(1),
+      elevation: view.elevation.toFixed(1),
+      tier: fast ? 'preview' : 'standard',
+    })
+    return (await this.#ask(`models/${this.#model}/thumbnail?${query}`)).blob()
   }
 
   async #ask(path: string, init: RequestInit = {}): Promise<Response> {

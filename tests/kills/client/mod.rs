@@ -1,5 +1,7 @@
 //! A client that sends random requests, one after another, and records the answers.
 
+mod models;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use rand::{RngExt, SeedableRng};
@@ -11,7 +13,7 @@ use relume_api::webhooks::{NewWebhook, WebhookEvent};
 use relume_client::{Client, ClientError};
 use reqwest::Method;
 
-use super::known::{Fate, Kind, Thing};
+use crate::kills::known::{Fate, Kind, Thing};
 use crate::service_support::{CaptureZip, small_job};
 
 /// The reason why a client stops.
@@ -154,7 +156,9 @@ impl Requests {
             66..72 => self.delete_other(client).await,
             72..78 => self.upload_environment(client).await,
             78..84 => self.make_or_revoke_key(client).await,
-            84..88 => self.make_webhook(client).await,
+            84..87 => self.make_webhook(client).await,
+            87..92 => self.make_or_delete_export(client).await,
+            92..95 => self.calibrate_or_undo(client).await,
             _ => self.rename(client).await,
         }
     }
@@ -279,6 +283,9 @@ impl Requests {
         let kind = kinds[self.random.random_range(0..kinds.len())];
         let Some(place) = self.any(kind) else { return Ok(()) };
         self.things[place].fate = Fate::Either;
+        if kind == Kind::Model {
+            self.forget_exports_of(&self.things[place].id.clone());
+        }
         let id = self.things[place].id.as_str();
         let answer = match kind {
             Kind::Environment => client.delete_environment(&id.into(), false).await,
@@ -382,6 +389,9 @@ impl Requests {
                 }
                 Kind::Model => {
                     let view = found(client.model(&id.into()).await)?;
+                    if let Some(view) = &view {
+                        self.settle_reflectance(place, view)?;
+                    }
                     (view.is_some(), view.and_then(|view| view.summary.metadata.name))
                 }
                 Kind::Upload => {
@@ -394,6 +404,7 @@ impl Requests {
                     thing.offset = offset;
                     (view.is_some(), None)
                 }
+                Kind::Export => (self.verify_export(client, place).await?, None),
                 Kind::Webhook => (found(client.webhook(&id.into()).await)?.is_some(), None),
                 Kind::Key => (self.lets_in(client, place).await?, None),
                 Kind::Job => continue,
