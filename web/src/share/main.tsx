@@ -16,6 +16,7 @@ const model = decodeURIComponent(location.pathname.replace(/\/$/, '').split('/')
 const share = query.has('signature') ? location.search.slice(1) : undefined
 /** The server puts the name of the model into the title of a page whose link is valid. */
 const name = document.title
+if (!name) document.title = 'This link shows no model'
 
 function SharedModel() {
   const viewer = useRef<RelumeViewer>(null)
