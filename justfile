@@ -34,6 +34,10 @@ bench:
 demo:
     cargo run --release -- demo
 
+# Build the documentation site; writes target/site/site
+site:
+    .ci/site target/site
+
 # Run the HTTP service on 127.0.0.1:7878
 serve *ARGS:
     cargo run --release -- serve {{ARGS}}

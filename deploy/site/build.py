@@ -1,0 +1,119 @@
+"""build.py RELUME OUT: makes the documentation site in OUT/site from the texts of the repository.
+
+RELUME is the program, whose --help becomes the page of the command line. The page of the API is made from openapi/openapi.json. Links to
+files that the site does not contain, such as sources, become plain text. MkDocs fails on a link or an anchor that leads nowhere.
+"""
+
+import json
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import sys
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+HERE = pathlib.Path(__file__).resolve().parent
+# Pages with many words of every kind, which a search lists last.
+LAST = ("CHANGELOG.md", "docs/decisions/", "docs/results.md", "docs/promises.md")
+# Texts beside docs/ that are pages.
+TEXTS = [
+    "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md", "deploy/README.md", "clients/python/README.md",
+    "examples/pipeline/README.md", "examples/embed/README.md",
+]
+LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^()\s]+)\)")
+
+
+def pages():
+    """The pages by their path in the repository, each with its path in the site."""
+    found = {str(path.relative_to(ROOT)): str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md"))}
+    return found | {text: text for text in TEXTS} | {"README.md": "index.md"}
+
+
+def relinked(text, source, known):
+    """The text of a page with links that lead to pages of the site."""
+
+    def replaced(match):
+        image, label, target = match.groups()
+        if re.match(r"[a-z]+:|#", target):
+            return match[0]
+        path, _, anchor = target.partition("#")
+        path = os.path.normpath(os.path.join(os.path.dirname(source), path))
+        if (ROOT / path).is_dir() and f"{path}/README.md" in known:
+            path += "/README.md"
+        if path not in known:
+            return match[0] if image else label
+        to = os.path.relpath(known[path], os.path.dirname(known[source]) or ".")
+        return f"{image}[{label}]({to}{'#' + anchor if anchor else ''})"
+
+    # Code keeps its brackets.
+    parts = re.split(r"(^```.*?^```)", text, flags=re.MULTILINE | re.DOTALL)
+    return "".join(part if i % 2 else LINK.sub(replaced, part) for i, part in enumerate(parts))
+
+
+def help_of(program, command):
+    """The help of a command, and that of its subcommands."""
+    text = subprocess.run([program, *command, "--help"], capture_output=True, text=True, check=True).stdout
+    yield command, text
+    listed = re.search(r"^Commands:\n((?:  .*\n|\n)+)", text, re.MULTILINE)
+    for name in re.findall(r"^  (\w[\w-]*)", listed[1] if listed else "", re.MULTILINE):
+        if name != "help":
+            yield from help_of(program, [*command, name])
+
+
+def command_line(program):
+    lines = ["# Command line", "", "Every command prints this text with `--help`.", ""]
+    for command, text in help_of(program, []):
+        lines += [f"## {' '.join(['relume', *command])}", "", "```text", text.rstrip(), "```", ""]
+    return "\n".join(lines)
+
+
+def api(description):
+    """The operations by their tags, and the place of everything else."""
+    lines = ["# HTTP API", "", description["info"].get("description", ""), ""]
+    lines += ["The page `/docs` of a server shows this description, sends requests and has their code. [openapi.json](openapi.json) has every field.", ""]
+    by_tag = {}
+    for path, item in description["paths"].items():
+        for method, operation in item.items():
+            if "responses" in operation:
+                by_tag.setdefault((operation.get("tags") or ["other"])[0], []).append((method.upper(), path, operation))
+    for tag, operations in by_tag.items():
+        lines += [f"## {tag}", ""]
+        for method, path, operation in operations:
+            lines += [f"### {operation.get('summary', operation['operationId'])}", "", f"`{method} {path}`", "", operation.get("description", ""), ""]
+            fields = [(field["name"], field["in"], field.get("description", "")) for field in operation.get("parameters", [])]
+            if fields:
+                lines += ["| parameter | in | content |", "|---|---|---|"]
+                lines += [f"| `{name}` | {place} | {' '.join(text.split()).replace('|', chr(92) + '|')} |" for name, place, text in fields] + [""]
+            answers = "; ".join(f"{status}: {answer.get('description') or 'OK'}" for status, answer in operation["responses"].items())
+            lines += [f"Answers: {' '.join(answers.split())}", ""]
+    return "\n".join(lines)
+
+
+def main():
+    program, out = sys.argv[1], pathlib.Path(sys.argv[2]).resolve()
+    content = out / "pages"
+    shutil.rmtree(content, ignore_errors=True)
+    known = pages()
+    assets = {str(path.relative_to(ROOT)) for path in (ROOT / "docs").rglob("*") if path.suffix in (".png", ".svg", ".json", ".webp")}
+    for source in assets:
+        (content / source).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(ROOT / source, content / source)
+    known |= {asset: asset for asset in assets}
+    for source, place in pages().items():
+        (content / place).parent.mkdir(parents=True, exist_ok=True)
+        text = relinked((ROOT / source).read_text(), source, known)
+        rank = "---\nsearch:\n  boost: 0.2\n---\n\n" if source.startswith(LAST) else ""
+        (content / place).write_text(rank + text)
+    description = json.loads((ROOT / "openapi/openapi.json").read_text())
+    shutil.copyfile(ROOT / "openapi/openapi.json", content / "openapi.json")
+    (content / "cli.md").write_text(command_line(program))
+    (content / "api.md").write_text(api(description))
+    decisions = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs/decisions").glob("0*.md"))
+    listed = json.dumps(["docs/decisions/README.md", *decisions])
+    (out / "mkdocs.yml").write_text((HERE / "mkdocs.yml").read_text().replace("DECISIONS", listed))
+    subprocess.run([sys.executable, "-m", "mkdocs", "build", "--config-file", out / "mkdocs.yml"], check=True)
+
+
+if __name__ == "__main__":
+    main()
