@@ -184,3 +184,25 @@ async fn a_server_on_a_damaged_database_is_not_ready() {
     sqlx::query("ALTER TABLE jobs RENAME TO elsewhere").execute(&pool).await.unwrap();
     assert_eq!(ready().await, 503);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_report_of_doctor_has_no_names_paths_or_keys() {
+    let data = used().await;
+    let pool = crate::service_support::raw_pool(data.path()).await;
+    let change = "INSERT INTO jobs (id, capture_id, tenant, preset, overrides, device, priority, state, created_ms, total, error_code)
+         SELECT 'failed', id, tenant, 'draft', '{}', 'auto', 0, 'failed', 1, 1, 'memory_unfit' FROM captures";
+    sqlx::raw_sql(change).execute(&pool).await.unwrap();
+    pool.close().await;
+    let output = relume(&["doctor", "--report"], data.path());
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success() && said.starts_with("```text\n") && said.ends_with("```\n"), "{said}");
+    for expected in
+        [env!("CARGO_PKG_VERSION"), "commit", "features      gpu otlp web", "failed jobs   memory_unfit 1"]
+    {
+        assert!(said.contains(expected), "{expected}: {said}");
+    }
+    let folder = data.path().to_str().unwrap();
+    assert!(!said.contains(folder) && !said.contains(folder.rsplit('/').next().unwrap()), "{said}");
+    let nowhere = relume(&["doctor", "--report"], &data.path().join("nothing"));
+    assert!(String::from_utf8(nowhere.stdout).unwrap().contains("failed jobs   none"));
+}

@@ -35,6 +35,7 @@ mod time_budget;
 mod traces;
 mod train;
 mod train_summary;
+mod version;
 mod worker;
 mod worker_progress;
 mod workers;
@@ -47,7 +48,7 @@ use error::CommandResult;
 
 /// Turns posed photographs into relightable 3D Gaussian models and serves them over HTTP.
 #[derive(Debug, Parser)]
-#[command(name = "relume", version, arg_required_else_help = true, after_help = error::EXIT_CODES)]
+#[command(name = "relume", version, long_version = version::long(), arg_required_else_help = true, after_help = error::EXIT_CODES)]
 struct Cli {
     #[command(subcommand)]
     command: Command,

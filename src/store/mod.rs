@@ -78,7 +78,7 @@ pub use exports::{ClaimedExport, ExportDeletion, ExportRecord, ExportedFile};
 pub use folder::make_private;
 pub use hash::hex;
 pub use idempotency::IdempotencyKey;
-pub use inspection::{Inspection, inspect, inspect_with};
+pub use inspection::{Inspection, failure_codes, inspect, inspect_with};
 pub use job_view::rfc3339;
 pub use jobs::{CancelOutcome, MAX_QUEUE_POSITION, Submitted};
 pub use key_token::KeyToken;

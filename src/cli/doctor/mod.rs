@@ -1,6 +1,8 @@
 //! `relume doctor`: lists the devices of this machine, shows which one the service uses and why, and checks whether the service
 //! can run and whether its stored data are intact.
 
+mod report;
+
 use std::path::{Path, PathBuf};
 
 use crate::cli::artifacts::ArtifactsArgs;
@@ -26,9 +28,17 @@ pub(super) struct DoctorArgs {
     /// The device to check: `auto`, `cpu`, `gpu` or `gpu:N`.
     #[arg(long, default_value_t)]
     device: DeviceChoice,
+    /// Print a block for a report of a fault: versions, devices, programs and the codes of failed jobs, without names, paths and keys.
+    /// Stored data are not checked.
+    #[arg(long)]
+    report: bool,
 }
 
 pub(super) fn run(args: &DoctorArgs) -> CommandResult {
+    if args.report {
+        let path = args.data_dir.as_deref().unwrap_or(Path::new(DEFAULT_DATA_DIR));
+        return report::print(&adapters(), args.device, (path, args.database.database_url.as_ref()));
+    }
     let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     println!("relume        {}", env!("CARGO_PKG_VERSION"));
     println!("cpu threads   {threads}");
