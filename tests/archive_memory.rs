@@ -5,6 +5,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::process::{Command, Output};
 
+use crate::fuzz::mutated_archives;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use relume_fixtures::small_set::{blender, gzip, tar};
@@ -15,9 +16,16 @@ const LIMIT_KIB: u64 = 300_000;
 /// Bytes of the hostile part of an archive; more than the limit.
 const HOSTILE: u64 = 512 << 20;
 
+/// Number of mutated archives.
+const MUTATED: u64 = 150;
+
 /// `relume capture check` with the memory limit.
 fn check(archive: &Path) -> Output {
-    let script = format!("ulimit -d {LIMIT_KIB}; exec \"$0\" capture check \"$1\"");
+    check_within(LIMIT_KIB, archive)
+}
+
+fn check_within(limit_kib: u64, archive: &Path) -> Output {
+    let script = format!("ulimit -d {limit_kib}; exec \"$0\" capture check \"$1\"");
     let mut shell = Command::new("sh");
     shell.args(["-c", &script, env!("CARGO_BIN_EXE_relume")]).arg(archive).output().unwrap()
 }
@@ -75,4 +83,19 @@ fn a_large_gzipped_tar_is_read_within_the_memory_limit() {
     assert_eq!(check(&path).stdout, output.stdout, "the control: without the large file");
     let names: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(names, ["capture.tar.gz"], "nothing is left behind");
+}
+
+#[test]
+fn mutated_archives_are_read_within_the_memory_limit() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("capture.zip");
+    // Photographs of a few pixels need a small part of the limit.
+    let limit = LIMIT_KIB / 3;
+    let ended = |output: &Output| matches!(output.status.code(), Some(0 | 1));
+    for (case, archive) in mutated_archives(MUTATED).into_iter().enumerate() {
+        std::fs::write(&path, archive).unwrap();
+        let output = check_within(limit, &path);
+        assert!(ended(&output), "case {case}: {output:?}");
+    }
+    assert!(!ended(&check_within(4096, &path)), "the control: too little memory for any archive");
 }

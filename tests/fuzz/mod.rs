@@ -151,14 +151,28 @@ fn pack(files: &Files, random: &mut ChaCha8Rng) -> Vec<u8> {
     }
 }
 
+/// Valid archives of all layouts, as ZIP and as tar.
+fn archives() -> Vec<Vec<u8>> {
+    let mut random = ChaCha8Rng::seed_from_u64(SEED);
+    let packed = |files| [zip(files), tar(files), pack(files, &mut random)];
+    seeds::captures().iter().flat_map(packed).collect()
+}
+
 #[test]
 fn mutated_archives_cause_no_panic() {
-    let mut random = ChaCha8Rng::seed_from_u64(SEED);
-    let archives: Vec<Vec<u8>> = seeds::captures()
-        .iter()
-        .flat_map(|files| [zip(files), tar(files), pack(files, &mut random)])
-        .collect();
-    fuzz("archives", &archives, read_archive);
+    fuzz("archives", &archives(), read_archive);
+}
+
+/// `count` mutated archives, for readers in processes of their own.
+#[cfg(target_os = "linux")]
+pub fn mutated_archives(count: u64) -> Vec<Vec<u8>> {
+    let archives = archives();
+    let make = |case| {
+        let mut random = ChaCha8Rng::seed_from_u64(SEED);
+        random.set_stream(case);
+        mutated(&archives[random.random_range(0..archives.len())], &archives, &mut random)
+    };
+    (0..count).map(make).collect()
 }
 
 #[test]
