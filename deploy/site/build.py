@@ -1,6 +1,6 @@
 """build.py RELUME OUT: makes the documentation site in OUT/site from the texts of the repository.
 
-RELUME is the program, whose --help becomes the page of the command line. The page of the API is made from openapi/openapi.json. Links to
+RELUME is the program, whose --help completes the page of the command line. openapi/openapi.json completes the page of the API. Links to
 files that the site does not contain, such as sources, become plain text. MkDocs fails on a link or an anchor that leads nowhere.
 """
 
@@ -27,7 +27,7 @@ LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^()\s]+)\)")
 def pages():
     """The pages by their path in the repository, each with its path in the site."""
     found = {str(path.relative_to(ROOT)): str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md"))}
-    return found | {text: text for text in TEXTS} | {"README.md": "index.md"}
+    return found | {text: text for text in ["README.md", *TEXTS]}
 
 
 def relinked(text, source, known):
@@ -62,7 +62,7 @@ def help_of(program, command):
 
 
 def command_line(program):
-    lines = ["# Command line", "", "Every command prints this text with `--help`.", ""]
+    lines = [(HERE / "cli.md").read_text()]
     for command, text in help_of(program, []):
         lines += [f"## {' '.join(['relume', *command])}", "", "```text", text.rstrip(), "```", ""]
     return "\n".join(lines)
@@ -70,8 +70,7 @@ def command_line(program):
 
 def api(description):
     """The operations by their tags, and the place of everything else."""
-    lines = ["# HTTP API", "", description["info"].get("description", ""), ""]
-    lines += ["The page `/docs` of a server shows this description, sends requests and has their code. [openapi.json](openapi.json) has every field.", ""]
+    lines = [(HERE / "api.md").read_text(), description["info"].get("description", ""), ""]
     by_tag = {}
     for path, item in description["paths"].items():
         for method, operation in item.items():

@@ -203,7 +203,7 @@ mod tests {
     fn every_web_file_is_served_by_a_route() {
         assert!(WebAsset::find("index.html").is_some() && WebAsset::find("relume-viewer.js").is_some());
         let known = |path: &str| {
-            ["index.html", "docs.html"].contains(&path)
+            ["index.html", "docs.html", "share/index.html"].contains(&path)
                 || path.starts_with("assets/")
                 || ROUTES.contains(&&*format!("/{path}"))
         };

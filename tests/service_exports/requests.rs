@@ -12,7 +12,7 @@ async fn exports_show_their_request_unless_it_is_long() {
     let client = server.client();
     let model = trained(client).await.model.unwrap();
     let frames = FramesExport { width: Some(8), height: Some(8), ..FramesExport::turntable(2) };
-    let frame = json!({ "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]] });
+    let frame = json!({ "file_path": "a.png", "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]] });
     let path = json!({ "camera_angle_x": 0.7, "frames": vec![frame; 60] });
     let long = FramesExport { path: Some(path), ..FramesExport::turntable(1) };
     let long = FramesExport { turntable: None, width: Some(8), height: Some(8), ..long };

@@ -307,7 +307,7 @@ async fn every_operation_refuses_a_key_without_its_scope() {
         let (_, with, without) = few.iter().find(|(s, _, _)| s == scope).unwrap();
         let id = match about {
             One(kind) => never(*kind),
-            Server => "any",
+            Server | Everybody => "any",
             _ => "",
         };
         let refused = read(ask(without, method, path, id)).await;

@@ -89,6 +89,7 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("get", "/v1/models/{id}/stream", One(Model), Read),
     ("get", "/v1/models/{id}/light", One(Model), Read),
     ("post", "/v1/signed-urls", Body, Read),
+    ("get", "/share/{id}", Everybody, Read),
     ("options", "/v1/uploads", Everybody, Read),
     ("get", "/v1/uploads", List(Upload), Read),
     ("post", "/v1/uploads", Body, Submit),
