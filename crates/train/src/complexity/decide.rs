@@ -29,7 +29,7 @@ pub const PROTOTYPE_TOLERANCE: f32 = 0.03;
 pub const DROP_TOLERANCE: f32 = 0.02;
 /// Shares of the Gaussians, those of least weight, that are dropped in successive trials.
 pub const DROPPED_SHARES: [f32; 12] = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7];
-/// Training PSNR per doubling of the Gaussians below which no more are added, dB.
+/// Gain of training PSNR during a doubling of the Gaussians below which no more are added, dB.
 pub const MIN_PSNR_GAIN: f32 = 0.2;
 /// Training PSNR above which no more Gaussians are added, dB: a root mean square error of 1.4 / 255.
 pub const SUFFICIENT_PSNR: f32 = 45.0;
@@ -137,18 +137,27 @@ fn cheapest_merge(colours: &[[f32; 3]], groups: &[Vec<usize>], overlap: &Overlap
     pairs.min_by(|x, y| cost(x).total_cmp(&cost(y)))
 }
 
-/// Whether more Gaussians no longer improve the result, from `(Gaussians, training PSNR)` after each round of density
-/// control.
+/// A round of density control: the number of Gaussians before it, and the mean training PSNR since the round before, dB.
+pub type Round = (u32, f32);
+
+/// The two rounds that show that more Gaussians no longer improve the result, if there are such rounds: a doubling of the
+/// Gaussians gained less than [`MIN_PSNR_GAIN`], or the PSNR is above [`SUFFICIENT_PSNR`].
 ///
-/// The criterion must hold for two consecutive rounds, because the PSNR of one round is a mean over only some
-/// photographs.
-pub fn is_enough(history: &[(u32, f32)]) -> bool {
-    let [.., a, b, c] = history else { return false };
-    let is_flat = |from: &(u32, f32), to: &(u32, f32)| {
+/// The gain includes that of the steps during the doubling. The gain of a single round tells nothing: it is smaller than
+/// the difference between the photographs of two rounds, and new Gaussians must train first. The criterion must hold for
+/// two consecutive rounds, because the PSNR of one round is a mean over only some photographs.
+pub fn end_of_growth(history: &[Round]) -> Option<[Round; 2]> {
+    let [before @ .., a, b] = history else { return None };
+    if a.1 > SUFFICIENT_PSNR && b.1 > SUFFICIENT_PSNR {
+        return Some([*a, *b]);
+    }
+    let flat_since = |to: &Round| {
+        let from = before.iter().rev().find(|from| 2 * from.0.max(1) <= to.0)?;
         let doublings = (to.0 as f32 / from.0.max(1) as f32).log2();
-        doublings > 0.0 && to.1 - from.1 < MIN_PSNR_GAIN * doublings
+        (to.1 - from.1 < MIN_PSNR_GAIN * doublings).then_some(*from)
     };
-    (is_flat(a, b) && is_flat(b, c)) || (b.1 > SUFFICIENT_PSNR && c.1 > SUFFICIENT_PSNR)
+    flat_since(a)?;
+    Some([flat_since(b)?, *b])
 }
 
 #[cfg(test)]
@@ -207,16 +216,17 @@ mod tests {
     }
 
     #[test]
-    fn growth_ends_after_two_flat_rounds_or_at_the_highest_psnr() {
-        assert!(is_enough(&[(1000, 30.0), (1200, 30.01), (1400, 30.0)]));
-        assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.3)]), "one flat round is not enough");
-        assert!(!is_enough(&[(1000, 30.0), (1200, 30.3), (1400, 30.6)]));
-        assert!(
-            !is_enough(&[(1000, 30.0), (1000, 30.0), (1000, 30.0)]),
-            "without added Gaussians there is no evidence"
-        );
-        assert!(is_enough(&[(1000, 44.5), (1200, 45.5), (1400, 46.5)]));
-        assert!(!is_enough(&[(1200, 30.0), (1400, 30.0)]));
+    fn growth_ends_after_a_flat_doubling_or_at_the_highest_psnr() {
+        let doubled =
+            |last: [f32; 2]| end_of_growth(&[(1000, 30.0), (1400, 30.0), (2000, last[0]), (2100, last[1])]);
+        assert_eq!(doubled([30.1, 30.1]), Some([(1000, 30.0), (2100, 30.1)]));
+        assert_eq!([doubled([30.3, 30.1]), doubled([30.1, 30.3])], [None; 2], "one flat round is not enough");
+        assert_eq!(doubled([30.1, f32::NAN]), None, "a PSNR that is not a number proves nothing");
+        let short = [(1000, 30.0), (1400, 29.9), (1800, 29.8), (1990, 29.7)];
+        assert_eq!(end_of_growth(&short), None, "the Gaussians have not doubled");
+        let high = [(1000, 44.5), (1200, 45.5), (1400, 46.5)];
+        assert_eq!(end_of_growth(&high), Some([high[1], high[2]]));
+        assert_eq!([end_of_growth(&[(1200, 30.0), (1400, 30.0)]), end_of_growth(&[])], [None; 2]);
     }
 
     #[test]

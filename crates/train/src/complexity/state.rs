@@ -30,15 +30,14 @@ pub struct ComplexityDecision {
     pub evidence: BTreeMap<String, f32>,
 }
 
-/// The rounds of density control so far, the input of [`decide::is_enough`].
+/// The rounds of density control so far, the input of [`decide::end_of_growth`].
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Growth {
     /// Sum of the PSNRs of the steps since the last round, dB.
     sum: f32,
     steps: u32,
     phase: u32,
-    /// Gaussians and mean PSNR of each round.
-    history: Vec<(u32, f32)>,
+    history: Vec<decide::Round>,
 }
 
 /// The decisions so far, and the state for the next ones; part of every checkpoint.
@@ -132,10 +131,7 @@ impl ComplexityState {
         let growth = &mut self.growth;
         growth.history.push((gaussians as u32, growth.sum / growth.steps as f32));
         (growth.sum, growth.steps) = (0.0, 0);
-        if !decide::is_enough(&growth.history) {
-            return;
-        }
-        let [.., from, to] = growth.history[..] else { return };
+        let Some([from, to]) = decide::end_of_growth(&growth.history) else { return };
         let evidence = [
             ("psnr_before", from.1),
             ("psnr", to.1),
@@ -292,13 +288,13 @@ mod tests {
     fn growth_ends_without_gain_unless_max_gaussians_is_given() {
         let rounds = |config: &TrainConfig| {
             let mut complexity = ComplexityState::default();
-            for round in 0..4u32 {
+            for round in 0..20u32 {
                 (0..10).for_each(|_| complexity.record(0, 30.0));
                 complexity.before_round(config, 100 * round, 1000 + 100 * round as usize);
             }
             complexity.most_gaussians
         };
-        assert_eq!(rounds(&config(&TrainOverrides::default())), Some(1200));
+        assert_eq!(rounds(&config(&TrainOverrides::default())), Some(2100));
         assert_eq!(
             rounds(&config(&TrainOverrides { max_gaussians: Some(5000), ..Default::default() })),
             None
