@@ -16,7 +16,8 @@ impl Requests {
     /// Creates an export of a model, or deletes one.
     pub(super) async fn make_or_delete_export(&mut self, client: &Client) -> Result<(), Stop> {
         let kept = self.kept(Kind::Export).len();
-        if let Some(place) = self.any(Kind::Export).filter(|_| kept >= MOST_EXPORTS || self.answered % 3 == 0)
+        if let Some(place) =
+            self.any(Kind::Export).filter(|_| kept >= MOST_EXPORTS || self.answered.is_multiple_of(3))
         {
             // A queued or running export is cancelled and stays; one that has ended is deleted.
             self.things[place].fate = Fate::Either;
