@@ -1,4 +1,4 @@
-//! What this program is: its version, the commit and the features it was built with.
+//! The version of the program, the commit of its sources and the features of its build.
 
 /// The version, e.g. `0.1.0`.
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");

@@ -29,18 +29,12 @@ pub(super) fn routes() -> OpenApiRouter<AppState> {
     OpenApiRouter::new().routes(routes!(share_page))
 }
 
-/// What the page shows first. The page ignores values that it cannot show.
+/// What the page shows first. The page also reads the other parameters of the page of a model in the web app.
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct ShareQuery {
     /// Light, as `env` of a thumbnail. Omitted: `studio`.
     light: Option<String>,
-    /// Rotation of the light, degrees counter-clockwise seen from above. Omitted: 0.
-    #[serde(rename = "rotation")]
-    _rotation: Option<String>,
-    /// Exposure, stops. Omitted: 0.
-    #[serde(rename = "exposure")]
-    _exposure: Option<String>,
     /// Azimuth of the camera, as in a thumbnail.
     azimuth: Option<String>,
     /// Elevation of the camera, as in a thumbnail.
@@ -91,7 +85,12 @@ async fn preview(
     query: &ShareQuery,
 ) -> Result<String, Problem> {
     let caller = match SignedQuery::parse(uri.query()) {
-        Some(signed) => signer(&app.keys, &app.signing, &signed, uri.path()).await.ok(),
+        Some(signed) => match signer(&app.keys, &app.signing, &signed, uri.path()).await {
+            Ok(caller) => Some(caller),
+            // The page says that the link is not valid. Other failures are answered as such.
+            Err(problem) if problem.status == 403 => None,
+            Err(problem) => return Err(problem),
+        },
         None => app.keys.caller(None).await?,
     };
     let Some(caller) = caller else { return Ok(String::new()) };

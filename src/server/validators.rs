@@ -1,4 +1,4 @@
-//! Threads that validate captures. A tenant with many captures at once slows down neither the trainings of others nor their validations.
+//! Threads that validate captures. The first validation of a tenant runs at normal priority, its further ones at low priority.
 
 use crate::server::decoders::Decoders;
 use crate::server::problem::Problem;

@@ -336,7 +336,7 @@ pub struct ExportView {
     pub model: ModelId,
     /// Kind.
     pub kind: ExportKind,
-    /// The request. Absent if its JSON is longer than 4,096 bytes, as with a long camera path.
+    /// The request. Absent if its JSON is longer than about 4,096 bytes, as with a long camera path.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub request: Option<NewExport>,
     /// State.
