@@ -1,7 +1,10 @@
-"""build.py RELUME OUT: makes the documentation site in OUT/site from the texts of the repository.
+"""build.py RELUME OUT [VERSION]: makes the documentation site in OUT/site/VERSION from the texts of the repository.
 
 RELUME is the program, whose --help completes the page of the command line. openapi/openapi.json completes the page of the API. Links to
 files that the site does not contain, such as sources, become plain text. MkDocs fails on a link or an anchor that leads nowhere.
+
+VERSION is MAJOR.MINOR; omitted: that of Cargo.toml. Other versions in OUT/site stay. OUT/site/versions.json lists all, newest first, as the
+version selector of Material for MkDocs reads it. OUT/site/latest is a symbolic link to the newest version, and OUT/site/index.html leads there.
 """
 
 import json
@@ -21,6 +24,12 @@ TEXTS = [
     "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md", "deploy/README.md", "clients/python/README.md",
     "examples/pipeline/README.md", "examples/embed/README.md",
 ]
+# Comments for `.ci/examples`.
+COMMENT = re.compile(r"^<!-- examples: .* -->\n", re.MULTILINE)
+# Code blocks, each after a line with its label in bold; several in succession become tabs.
+LABELLED = r"\*\*[^*\n]+\*\*\n\n```\w+\n(?:(?!```).*\n)*```\n"
+TABS = re.compile(rf"^{LABELLED}(?:\n{LABELLED})+", re.MULTILINE)
+VERSION = re.compile(r"\d+\.\d+")
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^()\s]+)\)")
 
 
@@ -49,6 +58,17 @@ def relinked(text, source, known):
     # Code keeps its brackets.
     parts = re.split(r"(^```.*?^```)", text, flags=re.MULTILINE | re.DOTALL)
     return "".join(part if i % 2 else LINK.sub(replaced, part) for i, part in enumerate(parts))
+
+
+def tabbed(text):
+    """The text of a page with tabs in place of labelled code blocks that follow each other."""
+
+    def tabs(match):
+        label = re.compile(r"^\*\*([^*\n]+)\*\*$")
+        lines = (label.sub(r'=== "\1"', line) if label.match(line) else f"    {line}".rstrip() for line in match[0].splitlines())
+        return "\n".join(lines) + "\n"
+
+    return TABS.sub(tabs, COMMENT.sub("", text))
 
 
 def help_of(program, command):
@@ -89,8 +109,28 @@ def api(description):
     return "\n".join(lines)
 
 
+def this_version():
+    """Major and minor version of Cargo.toml."""
+    return re.search(r'^version = "(\d+\.\d+)', (ROOT / "Cargo.toml").read_text(), re.MULTILINE)[1]
+
+
+def list_versions(site):
+    """Writes the list of the versions in `site`, its link to the newest and its first page."""
+    found = [place.parent.name for place in site.glob("*/index.html") if VERSION.fullmatch(place.parent.name) and not place.parent.is_symlink()]
+    found.sort(key=lambda version: [int(part) for part in version.split(".")], reverse=True)
+    listed = [{"version": version, "title": version, "aliases": ["latest"] if version == found[0] else []} for version in found]
+    (site / "versions.json").write_text(json.dumps(listed, indent=1) + "\n")
+    latest = site / "latest"
+    latest.unlink(missing_ok=True)
+    latest.symlink_to(found[0])
+    shutil.copyfile(HERE / "index.html", site / "index.html")
+
+
 def main():
     program, out = sys.argv[1], pathlib.Path(sys.argv[2]).resolve()
+    version = sys.argv[3] if len(sys.argv) > 3 else this_version()
+    if not VERSION.fullmatch(version):
+        sys.exit(f"the version {version} is not MAJOR.MINOR")
     content = out / "pages"
     shutil.rmtree(content, ignore_errors=True)
     known = pages()
@@ -101,7 +141,7 @@ def main():
     known |= {asset: asset for asset in assets}
     for source, place in pages().items():
         (content / place).parent.mkdir(parents=True, exist_ok=True)
-        text = relinked((ROOT / source).read_text(), source, known)
+        text = tabbed(relinked((ROOT / source).read_text(), source, known))
         rank = "---\nsearch:\n  boost: 0.2\n---\n\n" if source.startswith(LAST) else ""
         (content / place).write_text(rank + text)
     description = json.loads((ROOT / "openapi/openapi.json").read_text())
@@ -110,8 +150,10 @@ def main():
     (content / "api.md").write_text(api(description))
     decisions = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs/decisions").glob("0*.md"))
     listed = json.dumps(["docs/decisions/README.md", *decisions])
-    (out / "mkdocs.yml").write_text((HERE / "mkdocs.yml").read_text().replace("DECISIONS", listed))
+    settings = (HERE / "mkdocs.yml").read_text().replace("DECISIONS", listed).replace("VERSION", version)
+    (out / "mkdocs.yml").write_text(settings)
     subprocess.run([sys.executable, "-m", "mkdocs", "build", "--config-file", out / "mkdocs.yml"], check=True)
+    list_versions(out / "site")
 
 
 if __name__ == "__main__":

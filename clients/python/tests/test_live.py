@@ -81,6 +81,23 @@ def test_a_linear_frame_is_the_picture_that_the_server_shows(trained: tuple[relu
     assert np.abs(frame.srgb(exposure_ev=0.5, background=1.0) - shown).max() > 0.02, "the control"
 
 
+def test_a_thumbnail_has_its_size_light_and_direction(trained: tuple[relume.Capture, relume.Model]) -> None:
+    model = trained[1]
+    first = model.thumbnail("sunset", size=48)
+    assert first.startswith(b"\x89PNG") and first[16:24] == bytes([0, 0, 0, 48, 0, 0, 0, 48])
+    assert model.thumbnail("sunset", size=48, azimuth_deg=0) == first, "without an azimuth it is that of the first photograph"
+    others = [
+        model.thumbnail("night", size=48),
+        model.thumbnail("sunset", size=48, azimuth_deg=90),
+        model.thumbnail("sunset", size=48, elevation_deg=80),
+        model.thumbnail("sunset", size=48, background="f4f4f4"),
+    ]
+    assert len({first, *others}) == 5, "the control: light, direction and background show"
+    with pytest.raises(relume.RelumeError) as caught:
+        model.thumbnail(size=8)
+    assert caught.value.status in (400, 422)
+
+
 def test_photographs_are_listed_and_shown(trained: tuple[relume.Capture, relume.Model]) -> None:
     capture, _ = trained
     first, second = capture.photographs()[:2]

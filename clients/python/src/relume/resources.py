@@ -275,6 +275,27 @@ class Model(Resource):
         asked.update({"background": background, "tone_curve": tone_curve})
         return self._connection.send("POST", self._at("/render"), json=asked, headers={"Accept": media_type}).content
 
+    def thumbnail(
+        self,
+        environment: Light = "recovered",
+        *,
+        size: int = 256,
+        azimuth_deg: float | None = None,
+        elevation_deg: float | None = None,
+        tier: Literal["preview", "standard", "high"] = "preview",
+        background: str = "transparent",
+    ) -> bytes:
+        """A picture of the whole model as the bytes of a PNG of `size` x `size` pixels, 16 to 1024.
+
+        `azimuth_deg` counts counter-clockwise from the first photograph, `elevation_deg` from the horizon; omitted: the view of the first
+        photograph at the median elevation of all.
+        """
+        env = environment.id if isinstance(environment, Environment) else environment
+        params: dict[str, Any] = {"env": env, "size": size, "tier": tier, "background": background}
+        angles = {"azimuth": azimuth_deg, "elevation": elevation_deg}
+        params.update({name: value for name, value in angles.items() if value is not None})
+        return self._connection.send("GET", self._at("/thumbnail"), params=params).content
+
     def download(self, name: str, path: str | os.PathLike[str]) -> Path:
         """Writes one of the model's files, e.g. `model.safetensors`, to `path`; whole or not at all."""
         return _saved(self._connection, self._at(f"/files/{name}"), path)
