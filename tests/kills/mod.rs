@@ -22,6 +22,9 @@ use known::Kind;
 
 /// Default number of kills; `RELUME_KILLS` sets another.
 const KILLS: u64 = 200;
+/// One life in so many lasts until all jobs, validations and exports have ended: most other lives are too short for a job, and without
+/// models no request exports or calibrates one.
+const KILLS_UNTIL_A_LONG_LIFE: u64 = 40;
 const CLIENTS: u64 = 2;
 const SEED: u64 = 11;
 /// The operator's key. The server must not accept callers without a key, even after keys were created and
@@ -62,16 +65,25 @@ async fn verify(clients: &mut [Requests], client: &Client) -> Result<(), Stop> {
     Ok(())
 }
 
-/// Waits for the end of all jobs and validations, including those that no client knows, then stops the server with a signal.
-async fn end_well(mut server: Server, client: &Client, clients: &mut [Requests]) {
+/// Waits for the end of all jobs, validations and exports, including those that no client knows.
+async fn idle(client: &Client) {
     while Requests::any_validation(client).await {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
-    for state in ["queued", "running", "cancelling"] {
-        while Requests::any_job(client, state).await {
-            tokio::time::sleep(Duration::from_millis(20)).await;
+    for (list, states) in
+        [("jobs", &["queued", "running", "cancelling"][..]), ("exports", &["queued", "running"][..])]
+    {
+        for state in states {
+            while Requests::any_in_state(client, list, state).await {
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
         }
     }
+}
+
+/// Waits until the server has nothing to do, then stops it with a signal.
+async fn end_well(mut server: Server, client: &Client, clients: &mut [Requests]) {
+    idle(client).await;
     verify(clients, client).await.unwrap();
     let terminated = Command::new("kill").arg(server.child.id().to_string()).status().unwrap();
     assert!(terminated.success());
@@ -101,6 +113,10 @@ async fn two_hundred_kills_lose_nothing_that_was_acknowledged() {
         // A few starts run long enough for a job to complete.
         let longest = if random.random_bool(0.1) { 1500 } else { 250 };
         let life = Duration::from_millis(random.random_range(0..longest));
+        if kill % KILLS_UNTIL_A_LONG_LIFE == KILLS_UNTIL_A_LONG_LIFE / 2 {
+            idle(&client).await;
+            verify(&mut clients, &client).await.unwrap_or_else(|stop| panic!("before kill {kill}: {stop:?}"));
+        }
         work_until_killed(&mut clients, server, &client, life).await;
         // Without recovery, all artifacts that the database references are intact.
         sound(data.path()).await;
@@ -110,11 +126,18 @@ async fn two_hundred_kills_lose_nothing_that_was_acknowledged() {
     verify(&mut clients, &client).await.unwrap();
     end_well(server, &client, &mut clients).await;
     let answered: u64 = clients.iter().map(|requests| requests.answered).sum();
-    println!("{kills} kills amid {answered} steps: {:?}", Requests::counts(&clients));
+    let counts = Requests::counts(&clients);
+    println!("{kills} kills amid {answered} steps: {counts:?}");
     assert!(answered > kills, "the control: the server was killed amid work, not before any");
     let posed: u64 = clients.iter().map(|requests| requests.posed).sum();
     println!("poses of {posed} sets of photographs were found");
     assert!(posed > 0, "the control: no poses were found");
+    let calibrated: u64 = clients.iter().map(|requests| requests.calibrated).sum();
+    println!("{calibrated} calibrations were made or undone");
+    assert!(calibrated > 0, "the control: no model was calibrated");
+    for kind in [Kind::Model, Kind::Export] {
+        assert!(counts.contains_key(&kind), "the control: no {kind:?} came about");
+    }
     let (server, client) = start(data.path(), &tools);
     verify(&mut clients, &client).await.unwrap();
     end_well(server, &client, &mut clients).await;

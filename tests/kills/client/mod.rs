@@ -79,6 +79,8 @@ pub struct Requests {
     pub answered: u64,
     /// Number of sets of photographs whose poses the server found.
     pub posed: u64,
+    /// Number of calibrations that were made or undone.
+    pub calibrated: u64,
     counts: BTreeMap<Kind, usize>,
 }
 
@@ -87,7 +89,7 @@ impl Requests {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(number + 1);
         let (things, counts) = (Vec::new(), BTreeMap::new());
-        Self { random, number, made: 0, things, unanswered: None, answered: 0, posed: 0, counts }
+        Self { random, number, made: 0, things, unanswered: None, answered: 0, posed: 0, calibrated: 0, counts }
     }
 
     /// Number of resources of each kind that all clients created.
@@ -98,9 +100,9 @@ impl Requests {
         sums
     }
 
-    /// Whether there is a job in a state.
-    pub async fn any_job(client: &Client, state: &str) -> bool {
-        let request = client.request(Method::GET, &format!("/v1/jobs?state={state}")).unwrap();
+    /// Whether a list has an item in a state.
+    pub async fn any_in_state(client: &Client, list: &str, state: &str) -> bool {
+        let request = client.request(Method::GET, &format!("/v1/{list}?state={state}")).unwrap();
         let list = request.send().await.unwrap().text().await.unwrap();
         let list: serde_json::Value = serde_json::from_str(&list).unwrap();
         !list["items"].as_array().unwrap().is_empty()

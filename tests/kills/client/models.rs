@@ -50,7 +50,10 @@ impl Requests {
             }
         };
         match told(answer)? {
-            Ok(view) => self.settle_reflectance(place, &view),
+            Ok(view) => {
+                self.calibrated += 1;
+                self.settle_reflectance(place, &view)
+            }
             // A model of few steps may not cover the patch, or cannot be scaled that far; its capture may be deleted.
             Err(409 | 410 | 422) => Ok(()),
             Err(status) => Err(Stop::Wrong(format!("a calibration: {status}"))),
