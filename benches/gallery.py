@@ -1,0 +1,77 @@
+"""gallery.py DATA MODELS OUT RELUME: makes the pictures of docs/gallery.md from trained models (Pillow; on two cores about five minutes).
+
+DATA has scenes/NAME with path-traced ground truth and envmaps/LIGHT.hdr. MODELS has NAME.safetensors for each scene, as
+`relume train DATA/scenes/NAME --preset standard --resolution 400 --seed 0 --out MODELS/NAME.safetensors` writes it. OUT receives, for each scene,
+NAME-turntable.webp (the camera turns), NAME-light.webp (the light turns) and NAME-truth.webp (path-traced and relit pictures of one test view under lights that
+the training did not see).
+"""
+
+import pathlib
+import subprocess
+import sys
+import tempfile
+
+from PIL import Image, ImageChops, ImageDraw, ImageFont
+
+# Scenes, each with the lights of its turntable and of its turning light.
+SCENES = {"helmet": ("sunset", "studio"), "drape": ("overcast", "sunset")}
+FRAMES, SIZE, MILLISECONDS = 36, 288, 83
+# Number of the test view, from 1, and width and height of its pictures, pixels.
+VIEW, VIEW_SIZE = 4, 256
+QUALITY = 82
+PAPER, INK = (244, 244, 244), (40, 40, 40)
+
+
+def render(relume, model, out, *options):
+    subprocess.run([relume, "render", model, "--out", out, "--tier", "high", *map(str, options)], check=True, capture_output=True)
+
+
+def animation(relume, model, file, *options):
+    """An animated WebP of a sequence with a transparent background."""
+    with tempfile.TemporaryDirectory() as folder:
+        render(relume, model, f"{folder}/%03d.png", "--turntable", FRAMES, "--size", SIZE, *options)
+        frames = [Image.open(path).convert("RGBA") for path in sorted(pathlib.Path(folder).glob("*.png"))]
+    frames[0].save(file, save_all=True, append_images=frames[1:], duration=MILLISECONDS, loop=0, quality=QUALITY, method=6)
+
+
+def on_paper(picture):
+    paper = Image.new("RGBA", picture.size, (*PAPER, 255))
+    return Image.alpha_composite(paper, picture.convert("RGBA")).convert("RGB").resize((VIEW_SIZE, VIEW_SIZE), Image.Resampling.LANCZOS)
+
+
+def truth(relume, data, scene, model, file):
+    """Rows of truth, relit picture and their difference times 4; a column per light."""
+    views = sorted((data / "scenes" / scene).glob("test_*"))
+    lights = sorted(path.stem.removeprefix("rgba_") for path in views[VIEW - 1].glob("rgba_*.png"))
+    head, font = 22, ImageFont.load_default(13)
+    sheet = Image.new("RGB", (VIEW_SIZE * len(lights), head + 3 * VIEW_SIZE), PAPER)
+    draw = ImageDraw.Draw(sheet)
+    for column, light in enumerate(lights):
+        with tempfile.TemporaryDirectory() as folder:
+            cameras = data / "scenes" / scene / "transforms_test.json"
+            render(relume, model, f"{folder}/%03d.png", "--path", cameras, "--frames", VIEW, "--env", data / "envmaps" / f"{light}.hdr")
+            relit = on_paper(Image.open(next(pathlib.Path(folder).glob("*.png"))))
+        true = on_paper(Image.open(views[VIEW - 1] / f"rgba_{light}.png"))
+        difference = ImageChops.difference(true, relit).point(lambda value: min(255, 4 * value))
+        draw.text((column * VIEW_SIZE + 8, 4), light, INK, font)
+        for row, (picture, name) in enumerate(((true, "path tracer"), (relit, "Relume"), (difference, "difference, times 4"))):
+            sheet.paste(picture, (column * VIEW_SIZE, head + row * VIEW_SIZE))
+            if column == 0:
+                draw.text((8, head + row * VIEW_SIZE + 4), name, (220, 220, 220) if row == 2 else INK, font)
+    sheet.save(file, quality=QUALITY + 6, method=6)
+
+
+def main():
+    data, models, out, relume = (pathlib.Path(argument).resolve() for argument in sys.argv[1:5])
+    out.mkdir(parents=True, exist_ok=True)
+    for scene, (turned, turning) in SCENES.items():
+        model = models / f"{scene}.safetensors"
+        animation(relume, model, out / f"{scene}-turntable.webp", "--env", turned)
+        animation(relume, model, out / f"{scene}-light.webp", "--env", turning, "--camera-turn", 0, "--env-turn", 360)
+        truth(relume, data, scene, model, out / f"{scene}-truth.webp")
+    for path in sorted(out.glob("*.webp")):
+        print(f"{path.name}: {path.stat().st_size // 1000} kB")
+
+
+if __name__ == "__main__":
+    main()
