@@ -1,5 +1,5 @@
-// Opens the documentation site in Chromium: the version selector, the tabs of code blocks, the width of every page on a telephone, and the origin of all
-// that pages load. node .ci/site.mjs BROWSER SERVER FOLDER VERSION...
+// Opens the documentation site in Chromium: the version selector, the tabs of code blocks, equations, the width of every page on a telephone, and the
+// origin of all that pages load. node .ci/site.mjs BROWSER SERVER FOLDER VERSION...
 import assert from 'node:assert';
 import { readdir, rename } from 'node:fs/promises';
 import { join, relative } from 'node:path';
@@ -22,7 +22,10 @@ async function selector(wait) {
 /** URLs of all that the page has loaded. */
 const loaded = () => performance.getEntries().map((entry) => entry.name).filter((name) => name.includes('://'));
 
-/** Shows a page in a frame of `width` pixels. Returns by how many pixels it is too wide and what it has loaded. */
+/**
+ * Shows a page in a frame of `width` pixels. Returns by how many pixels it is too wide, what it has loaded, how many equations scroll in their boxes, and
+ * by how many pixels the page is too wide if they do not.
+ */
 async function inFrame(url, width) {
     const frame = document.createElement('iframe');
     frame.style.cssText = `width: ${width}px; height: 800px; border: 0`;
@@ -34,8 +37,13 @@ async function inFrame(url, width) {
     await new Promise((resolve) => setTimeout(resolve, 50));
     const over = contentDocument.documentElement.scrollWidth - width;
     const from = contentWindow.performance.getEntries().map((entry) => entry.name).filter((name) => name.includes('://'));
+    const boxes = [...contentDocument.querySelectorAll('div.arithmatex')];
+    const scrolls = (box) => box.scrollWidth > box.clientWidth && contentWindow.getComputedStyle(box).overflowX === 'auto';
+    const scrolling = boxes.filter(scrolls).length;
+    boxes.forEach((box) => (box.style.overflow = 'visible'));
+    const unboxed = contentDocument.documentElement.scrollWidth - width;
     frame.remove();
-    return { over, from };
+    return { over, from, scrolling, unboxed };
 }
 
 /** Whether a click on the tab of a language shows that language in every group of the page. */
@@ -48,6 +56,18 @@ async function tabs(language) {
         const at = [...group.querySelectorAll('.tabbed-labels label')].findIndex((one) => one.textContent.trim() === language);
         return [...group.querySelectorAll('.tabbed-block')].map((block) => getComputedStyle(block).display !== 'none').indexOf(true) === at;
     });
+}
+
+/** The equations of the page: how many there are, how many failed, whether the fonts of KaTeX are loaded, and whether their MathML is hidden. */
+async function equations() {
+    await document.fonts.ready;
+    const [all, blocks, failed] = ['.katex', '.katex-display', '.katex-error'].map((name) => document.querySelectorAll(name).length);
+    const fonts = [...document.fonts].filter(({ family, status }) => family.includes('KaTeX') && status === 'loaded').length;
+    const marked = document.querySelectorAll('.arithmatex').length;
+    const isHidden = () => getComputedStyle(document.querySelector('.katex-mathml')).position === 'absolute';
+    const hidden = all > 0 && isHidden();
+    document.querySelectorAll('link[href*="katex"]').forEach((link) => link.remove());
+    return { all, blocks, failed, fonts, marked, hidden, hiddenWithoutStyle: all > 0 && isHidden() };
 }
 
 const pages = async (version) => {
@@ -80,11 +100,21 @@ try {
     }
     assert((await frames.run(inFrame, server + all[0], 100)).over > 0, 'control: no page is 100 pixels wide');
 
+    const model = `${server}/${versions[0]}/docs/MODEL/`;
+    const { all: typeset, blocks, failed, fonts, marked, hidden, hiddenWithoutStyle } = await (await openPage(browser, model)).run(equations);
+    assert(typeset >= 300 && blocks >= 25 && typeset === marked, `${typeset} equations of ${marked}, ${blocks} of them blocks`);
+    assert.equal(failed, 0, 'equations that failed');
+    assert(fonts >= 3 && hidden, `${fonts} fonts of equations; their MathML is hidden: ${hidden}`);
+    assert(!hiddenWithoutStyle, 'control: the style sheet hides the MathML');
+    assert.equal((await (await openPage(browser, `${server}/${versions[0]}/docs/guide/light/`)).run(equations)).all, 0, 'control: a page without equations');
+    const { scrolling, unboxed } = await frames.run(inFrame, model, NARROW);
+    assert(scrolling > 0 && unboxed > 0, `${scrolling} long equations scroll; control: without that the page is ${unboxed} pixels too wide`);
+
     // The control: without the list of versions there is no selector.
     await rename(join(folder, 'versions.json'), join(folder, 'versions.away'));
     const without = await openPage(browser, `${server}/${versions[0]}/docs/guide/light/`);
     assert.deepEqual(await without.run(selector, 1500), []);
-    console.log(`the version selector lists ${versions.join(', ')}; ${all.length} pages fit ${NARROW} pixels and load nothing from elsewhere`);
+    console.log(`the version selector lists ${versions.join(', ')}; ${typeset} equations; ${all.length} pages fit ${NARROW} pixels and load nothing from elsewhere`);
 } finally {
     await browser.close();
 }

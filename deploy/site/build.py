@@ -2,6 +2,7 @@
 
 RELUME is the program, whose --help completes the page of the command line. openapi/openapi.json completes the page of the API. Links to
 files that the site does not contain, such as sources, become plain text. MkDocs fails on a link or an anchor that leads nowhere.
+Equations are typeset by KaTeX, which npm installs (equations.py).
 
 VERSION is MAJOR.MINOR; omitted: that of Cargo.toml. Other versions in OUT/site stay. OUT/site/versions.json lists all, newest first, as the
 version selector of Material for MkDocs reads it. OUT/site/latest is a symbolic link to the newest version, and OUT/site/index.html leads there.
@@ -109,6 +110,27 @@ def api(description):
     return "\n".join(lines)
 
 
+def install_katex(out, content):
+    """Installs KaTeX, which typesets the equations, in `out`/katex, and copies its style sheet and fonts to the site."""
+    folder = out / "katex"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("package.json", "package-lock.json"):
+        shutil.copyfile(HERE / name, folder / name)
+    try:
+        subprocess.run(["npm", "ci", "--loglevel=error", "--no-audit", "--no-fund", "--ignore-scripts"], cwd=folder, check=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        sys.exit(f"cannot install KaTeX, which typesets the equations: {error}. This needs npm and its package registry")
+    package = folder / "node_modules/katex"
+    # The browsers of today read WOFF2; the other formats stay away.
+    style = re.sub(r',url\(fonts/[^)]+\) format\("(?:woff|truetype)"\)', "", (package / "dist/katex.min.css").read_text())
+    (content / "katex/fonts").mkdir(parents=True, exist_ok=True)
+    (content / "katex/katex.min.css").write_text(style)
+    shutil.copyfile(package / "LICENSE", content / "katex/LICENSE")
+    for font in (package / "dist/fonts").glob("*.woff2"):
+        shutil.copyfile(font, content / "katex/fonts" / font.name)
+    shutil.copyfile(HERE / "equations.css", content / "equations.css")
+
+
 def this_version():
     """Major and minor version of Cargo.toml."""
     return re.search(r'^version = "(\d+\.\d+)', (ROOT / "Cargo.toml").read_text(), re.MULTILINE)[1]
@@ -144,6 +166,7 @@ def main():
         text = tabbed(relinked((ROOT / source).read_text(), source, known))
         rank = "---\nsearch:\n  boost: 0.2\n---\n\n" if source.startswith(LAST) else ""
         (content / place).write_text(rank + text)
+    install_katex(out, content)
     description = json.loads((ROOT / "openapi/openapi.json").read_text())
     shutil.copyfile(ROOT / "openapi/openapi.json", content / "openapi.json")
     (content / "cli.md").write_text(command_line(program))
@@ -151,6 +174,7 @@ def main():
     decisions = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs/decisions").glob("0*.md"))
     listed = json.dumps(["docs/decisions/README.md", *decisions])
     settings = (HERE / "mkdocs.yml").read_text().replace("DECISIONS", listed).replace("VERSION", version)
+    settings = settings.replace("HOOK", json.dumps(str(HERE / "equations.py")))
     (out / "mkdocs.yml").write_text(settings)
     subprocess.run([sys.executable, "-m", "mkdocs", "build", "--config-file", out / "mkdocs.yml"], check=True)
     list_versions(out / "site")
