@@ -6,6 +6,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::cameras::CameraSpec;
 use crate::jobs::JobError;
 use crate::models::FileView;
 use crate::renders::EnvironmentSpec;
@@ -15,7 +16,7 @@ use relume_spec::rendering::{
     Tier, ToneCurve,
 };
 
-/// An export to create. `kind` selects one of the three forms.
+/// An export to create. `kind` selects one of the four forms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(untagged)]
 pub enum NewExport {
@@ -25,6 +26,8 @@ pub enum NewExport {
     Splats(SplatsExport),
     /// A textured triangle mesh.
     Mesh(MeshExport),
+    /// A light matrix.
+    LightMatrix(Box<LightMatrixExport>),
 }
 
 impl NewExport {
@@ -39,6 +42,7 @@ impl NewExport {
                 SplatsKind::Ply => ExportKind::Ply,
             },
             Self::Mesh(_) => ExportKind::Mesh,
+            Self::LightMatrix(_) => ExportKind::LightMatrix,
         }
     }
 }
@@ -47,7 +51,7 @@ impl NewExport {
 ///
 /// `frames`: a sequence of frames as a zip or a video. `gltf`: glTF with KHR_gaussian_splatting, `.glb`.
 /// `usd`: OpenUSD as text, `.usda`. `usdz`: an OpenUSD package, `.usdz`. `ply`: PLY. `mesh`: a textured
-/// triangle mesh, `.glb`.
+/// triangle mesh, `.glb`. `light_matrix`: a frame for each lobe of light, multi-part `.exr`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(feature = "sqlx", derive(sqlx::Type), sqlx(type_name = "text", rename_all = "snake_case"))]
 #[serde(rename_all = "snake_case")]
@@ -64,6 +68,8 @@ pub enum ExportKind {
     Ply,
     /// A textured triangle mesh, `.glb`.
     Mesh,
+    /// A frame for each lobe of light, multi-part `.exr`.
+    LightMatrix,
 }
 
 impl ExportKind {
@@ -76,6 +82,7 @@ impl ExportKind {
             Self::Usdz => "usdz",
             Self::Ply => "ply",
             Self::Mesh => "mesh",
+            Self::LightMatrix => "light_matrix",
         }
     }
 }
@@ -290,6 +297,55 @@ pub struct MeshExport {
     pub cells: u32,
 }
 
+/// Kind of a light matrix export.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LightMatrixKind {
+    /// A light matrix.
+    #[default]
+    LightMatrix,
+}
+
+/// A frame for each lobe of light in one multi-part EXR, as from `relume render --light-matrix`. The file has
+/// at most (3 x parts + 1) x width x height x 2 bytes (4 with `float`), where parts are the lobes and the
+/// strong small lights.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LightMatrixExport {
+    /// `light_matrix`.
+    pub kind: LightMatrixKind,
+    /// Camera, as in a render request.
+    pub camera: CameraSpec,
+    /// Width, 1 to 4096 pixels.
+    #[schema(minimum = 1, maximum = 4096)]
+    #[serde(deserialize_with = "crate::lenient::pixels")]
+    pub width: u32,
+    /// Height, 1 to 4096 pixels.
+    #[schema(minimum = 1, maximum = 4096)]
+    #[serde(deserialize_with = "crate::lenient::pixels")]
+    pub height: u32,
+    /// Number of lobes, 1 to 512. Lobes times width times height must not exceed 268,435,456. Omitted: 128.
+    #[serde(default = "lobes")]
+    #[schema(minimum = 1, maximum = 512)]
+    pub lobes: u32,
+    /// Environment whose strong small lights also get a frame each. `inline_base64` is not accepted, and
+    /// `exposure_ev` must be 0. Omitted: lobes only.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub environment: Option<EnvironmentSpec>,
+    /// Number type of the colours: `half` or `float`. Omitted: `half`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(inline)]
+    pub colour_depth: Option<ColourDepth>,
+}
+
+impl LightMatrixExport {
+    /// A matrix of `camera` with images of `size`, width and height. All other fields have their defaults.
+    pub fn of(camera: CameraSpec, (width, height): (u32, u32)) -> Self {
+        let kind = LightMatrixKind::LightMatrix;
+        Self { kind, camera, width, height, lobes: lobes(), environment: None, colour_depth: None }
+    }
+}
+
 /// State of an export: `queued`, `running`, or one of the final states `succeeded`, `failed` and `cancelled`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -369,6 +425,10 @@ fn full_turn() -> f64 {
 
 fn most_degree() -> u32 {
     MAX_BAKED_DEGREE as u32
+}
+
+fn lobes() -> u32 {
+    128
 }
 
 fn cells() -> u32 {

@@ -11,6 +11,7 @@ use crate::server::app::AppState;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
 use crate::server::exports::plan::FramesPlan;
 use crate::server::exports::{splats, video, zip};
+use crate::server::memory::export_bytes;
 use crate::server::{models, renders};
 use crate::store::{ExportRecord, ExportedFile, make_private};
 use crate::worker::{ModelSource, RenderTask};
@@ -96,7 +97,8 @@ async fn views(
     let plan = plan.clone();
     // Not the threads of files: a mesh may occupy them for minutes.
     let views = move |model: Model| plan.views(&model).map_err(ExportError::from);
-    splats::with_model(app, &app.decoders, tenant, source, 0, views).await
+    let bytes_of = |size| export_bytes(size, 0);
+    splats::with_model(app, &app.decoders, tenant, (source, &bytes_of), views).await
 }
 
 /// Renders and encodes one frame when no other request waits for a frame.
