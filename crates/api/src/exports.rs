@@ -306,25 +306,37 @@ pub enum LightMatrixKind {
     LightMatrix,
 }
 
-/// A frame for each lobe of light in one multi-part EXR, as from `relume render --light-matrix`. The file has
-/// at most (3 x parts + 1) x width x height x 2 bytes (4 with `float`), where parts are the lobes and the
-/// strong small lights.
+/// A frame for each lobe of light in one multi-part EXR, as from `relume render --light-matrix`. Exactly one of
+/// `camera` and `path` is required. The file of one camera has at most (3 x parts + 1) x width x height x 2
+/// bytes (4 with `float`), where parts are the lobes and the strong small lights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LightMatrixExport {
     /// `light_matrix`.
     pub kind: LightMatrixKind,
-    /// Camera, as in a render request.
-    pub camera: CameraSpec,
-    /// Width, 1 to 4096 pixels.
+    /// Camera, as in a render request. The result is one `.exr`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub camera: Option<CameraSpec>,
+    /// Cameras, 1 to 10,000, as in an export of frames. The result is a zip with one `.exr` for each.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(value_type = Option<Object>)]
+    pub path: Option<Value>,
+    /// nerfstudio's `dataparser_transforms.json` of the training in which the `camera_path` was made.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub path_world: Option<NerfstudioWorld>,
+    /// Width, 1 to 4096 pixels. Must be given together with `height`. Omitted: 512 for `camera`; the size that
+    /// the path states.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[serde(deserialize_with = "crate::lenient::optional_pixels")]
     #[schema(minimum = 1, maximum = 4096)]
-    #[serde(deserialize_with = "crate::lenient::pixels")]
-    pub width: u32,
-    /// Height, 1 to 4096 pixels.
+    pub width: Option<u32>,
+    /// Height, 1 to 4096 pixels. Must be given together with `width`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[serde(deserialize_with = "crate::lenient::optional_pixels")]
     #[schema(minimum = 1, maximum = 4096)]
-    #[serde(deserialize_with = "crate::lenient::pixels")]
-    pub height: u32,
-    /// Number of lobes, 1 to 512. Lobes times width times height must not exceed 268,435,456. Omitted: 128.
+    pub height: Option<u32>,
+    /// Number of lobes, 1 to 512. Lobes times pixels must not exceed 268,435,456 for a camera and
+    /// 4,294,967,296 for all cameras together. Omitted: 128.
     #[serde(default = "lobes")]
     #[schema(minimum = 1, maximum = 512)]
     pub lobes: u32,
@@ -339,10 +351,19 @@ pub struct LightMatrixExport {
 }
 
 impl LightMatrixExport {
-    /// A matrix of `camera` with images of `size`, width and height. All other fields have their defaults.
-    pub fn of(camera: CameraSpec, (width, height): (u32, u32)) -> Self {
-        let kind = LightMatrixKind::LightMatrix;
-        Self { kind, camera, width, height, lobes: lobes(), environment: None, colour_depth: None }
+    /// A matrix of `camera`. All other fields have their defaults.
+    pub fn of(camera: CameraSpec) -> Self {
+        Self {
+            kind: LightMatrixKind::LightMatrix,
+            camera: Some(camera),
+            path: None,
+            path_world: None,
+            width: None,
+            height: None,
+            lobes: lobes(),
+            environment: None,
+            colour_depth: None,
+        }
     }
 }
 

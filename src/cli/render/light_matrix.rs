@@ -10,6 +10,7 @@ use super::{asked_views, sequence};
 use crate::cli::error::CommandResult;
 use crate::cli::light::illumination;
 use crate::cli::{input, output};
+use relume_engine::DeviceChoice;
 use relume_scene::light::{LightLobes, dominant_lights};
 use relume_scene::{Model, SplitLight};
 use relume_spec::rendering::{
@@ -33,6 +34,7 @@ pub(super) fn run(
     }
     let suns = suns(args, &model)?;
     let views = asked_views(args, &model)?;
+    check_rotations(args, &views)?;
     let renderer = Renderer::new(model);
     let lights = renderer.matrix_lights(&LightLobes::new(lobes), suns);
     eprintln!("lobes: {lobes}, strong small lights: {}", lights.parts().len() - lobes);
@@ -78,10 +80,26 @@ fn check(args: &RenderArgs, format: FrameFormat) -> Result<(), String> {
             args.cameras.env_turn != 0.0,
             "--env-turn: a turning light is a sequence of weights; see relume weights",
         ),
+        (
+            matches!(args.device, DeviceChoice::Gpu(_)),
+            "--device: the CPU engine computes light matrices; omit --device",
+        ),
     ];
     match refused.into_iter().find(|(is_refused, _)| *is_refused) {
         Some((_, why)) => Err(why.to_owned()),
         None => Ok(()),
+    }
+}
+
+/// Refuses cameras that turn the light of `--env`: its small lights have one place in all files.
+fn check_rotations(args: &RenderArgs, views: &[FrameView]) -> Result<(), String> {
+    let turned = views.iter().position(|view| view.light_rotation_deg.rem_euclid(360.0) != 0.0);
+    match (turned, &args.env) {
+        (Some(i), Some(_)) => Err(format!(
+            "--path: camera {} turns the light, but the small lights of --env have one place in all files; omit --env or light_rotation_deg",
+            i + 1
+        )),
+        _ => Ok(()),
     }
 }
 

@@ -67,7 +67,7 @@ pub(super) async fn make(
 }
 
 /// Creates the work folder. Frames of a model that was replaced since are removed from it.
-fn keep_only_frames_of(folder: &Path, sha256: &str) -> std::io::Result<()> {
+pub(super) fn keep_only_frames_of(folder: &Path, sha256: &str) -> std::io::Result<()> {
     let note = folder.join(MODEL_NOTE);
     if std::fs::read_to_string(&note).is_ok_and(|noted| noted == sha256) {
         return Ok(());
@@ -80,7 +80,7 @@ fn keep_only_frames_of(folder: &Path, sha256: &str) -> std::io::Result<()> {
 }
 
 /// File name of the frame with index `index`, from 0.
-fn frame_name(index: usize, format: FrameFormat) -> String {
+pub(super) fn frame_name(index: usize, format: FrameFormat) -> String {
     format!("{:04}.{}", index + 1, format.extension())
 }
 
@@ -168,7 +168,7 @@ async fn package(
 }
 
 /// Runs blocking work.
-async fn run_blocking(
+pub(super) async fn run_blocking(
     work: impl FnOnce() -> Result<(), ExportError> + Send + 'static,
 ) -> Result<(), ExportError> {
     tokio::task::spawn_blocking(work).await.map_err(std::io::Error::other)?

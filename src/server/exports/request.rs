@@ -57,7 +57,10 @@ pub(super) async fn check(app: &AppState, tenant: &TenantId, export: &NewExport)
             Err(Problem::invalid_field("/cells", "must be 16 to 512"))
         }
         NewExport::Mesh(_) => Ok(1),
-        NewExport::LightMatrix(matrix) => MatrixPlan::of(app, tenant, matrix).await.map(|_| 1),
+        NewExport::LightMatrix(matrix) => {
+            let plan = MatrixPlan::of(app, tenant, matrix, Up::AUTO).await?;
+            Ok(i64::try_from(plan.cameras()).unwrap_or(i64::MAX))
+        }
     }
 }
 

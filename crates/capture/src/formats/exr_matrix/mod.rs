@@ -82,8 +82,9 @@ mod tests {
     use exr::prelude::{AnyChannels, FlatSamples, Image, ReadChannels, ReadLayers};
 
     use super::*;
-    use crate::formats::exr_frame::FrameAttributes;
-    use relume_spec::rendering::ColourDepth;
+    use crate::formats::ImageFileError;
+    use crate::formats::exr_frame::{self, FrameAttributes, FrameLayer, FrameLayers};
+    use relume_spec::rendering::{ColourDepth, Primaries};
 
     const SIZE: (u32, u32) = (5, 37);
 
@@ -152,12 +153,26 @@ mod tests {
 
     #[test]
     fn the_header_states_the_lights() {
-        let mut file = tempfile::NamedTempFile::new().unwrap();
-        std::io::Write::write_all(&mut file, &encode(ColourDepth::Half, &|| true).unwrap()).unwrap();
-        let header = read_header(file.path()).unwrap();
+        let bytes = encode(ColourDepth::Half, &|| true).unwrap();
+        let header = read_header(&bytes[..]).unwrap();
         assert_eq!(((header.width, header.height), header.lights), (SIZE, lights()));
-        std::io::Write::write_all(&mut file.reopen().unwrap(), b"not an EXR").unwrap();
-        assert!(read_header(file.path()).is_err());
+        assert_eq!(header.names, names(&lights()));
+        assert!(matches!(read_header(&b"not an EXR"[..]), Err(ImageFileError::Damaged(_))));
+        assert!(matches!(read_header(&bytes[..100]), Err(ImageFileError::Damaged(_))), "a part of a header");
+        let values = [0.5f32; 5 * 37];
+        let layer = FrameLayer { name: "", suffixes: "A", values: &values };
+        let attributes = FrameAttributes::default();
+        let frame = FrameLayers {
+            width: SIZE.0,
+            height: SIZE.1,
+            colour: &[layer],
+            data: &[],
+            primaries: Primaries::Rec709,
+            attributes: &attributes,
+        };
+        let frame = exr_frame::encode(&frame, ColourDepth::Half).unwrap();
+        let refused = read_header(&frame[..]).unwrap_err().to_string();
+        assert!(refused.starts_with("is not a light matrix: part \"beauty\""), "{refused}");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Reads the lights that the header of a light matrix states.
 
-use std::path::Path;
+use std::io::Read;
 
 use exr::meta::header::Header;
 use exr::prelude::{AttributeValue, MetaData};
@@ -19,16 +19,19 @@ pub struct MatrixHeader {
     pub height: u32,
     /// The lights, in the order of their parts.
     pub lights: Vec<MatrixLightPart>,
+    /// Name of the part of each light.
+    pub names: Vec<String>,
 }
 
-/// Reads the header of a file.
+/// Reads the header of a file, and no pixels.
 ///
 /// # Errors
 /// [`ImageFileError::Damaged`] if it is not an OpenEXR file, [`ImageFileError::Unsupported`] if it is not a light matrix.
-pub fn read_header(path: &Path) -> Result<MatrixHeader, ImageFileError> {
-    let meta = MetaData::read_from_file(path, false).map_err(|e| ImageFileError::Damaged(e.to_string()))?;
+pub fn read_header(file: impl Read) -> Result<MatrixHeader, ImageFileError> {
+    let meta =
+        MetaData::read_from_buffered(file, false).map_err(|e| ImageFileError::Damaged(e.to_string()))?;
     let refused = |why: String| ImageFileError::Unsupported(why);
-    let mut lights = Vec::new();
+    let (mut lights, mut names) = (Vec::new(), Vec::new());
     for header in &meta.headers {
         let name = header.own_attributes.layer_name.as_ref().map(ToString::to_string).unwrap_or_default();
         if name == ALPHA {
@@ -40,12 +43,13 @@ pub fn read_header(path: &Path) -> Result<MatrixHeader, ImageFileError> {
             ))
         })?;
         lights.push(light);
+        names.push(name);
     }
     let Some(first) = meta.headers.first().filter(|_| !lights.is_empty()) else {
         return Err(refused("is not a light matrix: it has no part for a light".to_owned()));
     };
     let side = |side: usize| u32::try_from(side).unwrap_or(u32::MAX);
-    Ok(MatrixHeader { width: side(first.layer_size.0), height: side(first.layer_size.1), lights })
+    Ok(MatrixHeader { width: side(first.layer_size.0), height: side(first.layer_size.1), lights, names })
 }
 
 fn light(header: &Header) -> Option<MatrixLightPart> {
