@@ -1,7 +1,10 @@
 //! `relume weights`: the weights of an environment map for the parts of a light matrix.
 
+mod fusion;
 mod nuke;
 
+use std::fs::File;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -10,7 +13,7 @@ use crate::cli::error::CommandResult;
 use crate::cli::light::{illumination, named_light};
 use crate::cli::render::{finite, up_to};
 use crate::cli::{input, output};
-use relume_capture::formats::exr_matrix::{MatrixLightPart, names, read_header};
+use relume_capture::formats::exr_matrix::{MatrixHeader, MatrixLightPart, read_header};
 use relume_scene::light::{LightLobes, MatrixWeights};
 use relume_scene::{Illumination, SplitLight};
 
@@ -32,7 +35,7 @@ pub(super) struct WeightsArgs {
     /// Exposure of the light, stops, -20 to 20.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = up_to::<20>)]
     exposure: f64,
-    /// Form of the output: `json`, or `nuke` for nodes of Nuke that read and add the parts.
+    /// Form of the output: `json`, or `nuke` or `fusion` for nodes of that program that read and add the parts.
     #[arg(long, value_enum, default_value_t = WeightsFormat::Json)]
     format: WeightsFormat,
     /// The file to write; without it the weights are printed.
@@ -45,6 +48,7 @@ pub(super) struct WeightsArgs {
 enum WeightsFormat {
     Json,
     Nuke,
+    Fusion,
 }
 
 /// The weights of a light for the parts of a matrix.
@@ -69,18 +73,20 @@ struct PartWeight {
 }
 
 pub(super) fn run(args: &WeightsArgs) -> CommandResult {
-    let lights = read_lights(&args.like)?;
+    let named = |why: String| format!("{}: {why}", args.like.display());
+    let header = matrix_header(&args.like).map_err(named)?;
     let light = args.light()?.rotated_and_scaled(args.rotation, args.exposure.exp2() as f32);
     let weights = PartWeights {
         matrix: args.like.display().to_string(),
         environment: args.env.clone(),
         rotation_deg: args.rotation,
         exposure_ev: args.exposure,
-        parts: part_weights(&light, &lights).map_err(|why| format!("{}: {why}", args.like.display()))?,
+        parts: part_weights(&light, &header).map_err(named)?,
     };
     let text = match args.format {
         WeightsFormat::Json => serde_json::to_string_pretty(&weights)? + "\n",
-        WeightsFormat::Nuke => nuke::script(&weights, read_header(&args.like)?)?,
+        WeightsFormat::Nuke => nuke::script(&weights, (header.width, header.height))?,
+        WeightsFormat::Fusion => fusion::tools(&weights),
     };
     match &args.out {
         Some(path) => output::write_named(path, text.as_bytes())?,
@@ -101,28 +107,34 @@ impl WeightsArgs {
     }
 }
 
-fn read_lights(path: &Path) -> Result<Vec<MatrixLightPart>, String> {
-    let header = read_header(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    Ok(header.lights)
+fn matrix_header(path: &Path) -> Result<MatrixHeader, String> {
+    let file = File::open(path).map_err(|error| error.to_string())?;
+    read_header(BufReader::new(file)).map_err(|error| error.to_string())
 }
 
 /// The weight of each part. Lights without a part of their own are named on standard error.
-fn part_weights(light: &Illumination, lights: &[MatrixLightPart]) -> Result<Vec<PartWeight>, String> {
-    let lobes = lobes_of(lights)?;
+fn part_weights(light: &Illumination, header: &MatrixHeader) -> Result<Vec<PartWeight>, String> {
+    let lobes = lobes_of(&header.lights)?;
     let suns = |light: &MatrixLightPart| match light {
         MatrixLightPart::Sun(sun) => Some(*sun),
         MatrixLightPart::Lobe { .. } => None,
     };
-    let suns: Vec<SplitLight> = lights.iter().filter_map(suns).collect();
+    let suns: Vec<SplitLight> = header.lights.iter().filter_map(suns).collect();
     let found = MatrixWeights::of(light, &lobes, &suns);
-    let names = names(lights);
     for (direction, lobe) in &found.in_lobes {
+        let part = header.names.get(*lobe).map_or("a lobe", String::as_str);
         eprintln!(
-            "note: a strong small light of the map towards ({:.2}, {:.2}, {:.2}) has no part of its own; {} has its power, with a soft shadow",
-            direction.x, direction.y, direction.z, names[*lobe]
+            "note: a strong small light of the map towards ({:.2}, {:.2}, {:.2}) has no part of its own; {part} has its power, with a soft shadow",
+            direction.x, direction.y, direction.z
         );
     }
-    Ok(names.into_iter().zip(found.columns()).map(|(part, rgb)| PartWeight { part, rgb }).collect())
+    let named = header.names.iter().cloned().zip(found.columns());
+    Ok(named.map(|(part, rgb)| PartWeight { part, rgb }).collect())
+}
+
+/// `text` without breaks of lines.
+fn one_line(text: &str) -> String {
+    text.replace(['\n', '\r'], " ")
 }
 
 /// The lobes of a matrix, which must be the first of its lights.
@@ -143,7 +155,12 @@ fn lobes_of(lights: &[MatrixLightPart]) -> Result<LightLobes, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use relume_capture::formats::exr_matrix::names;
     use relume_scene::EnvMap;
+
+    fn header(lights: Vec<MatrixLightPart>) -> MatrixHeader {
+        MatrixHeader { width: 4, height: 3, names: names(&lights), lights }
+    }
 
     fn lights(count: usize) -> Vec<MatrixLightPart> {
         let lobes = LightLobes::new(count);
@@ -158,7 +175,8 @@ mod tests {
     fn every_part_of_an_even_light_has_its_radiance_as_weight() {
         let mut lights = lights(12);
         lights.push(MatrixLightPart::Sun(SplitLight { direction: [0.0, 0.0, 1.0], radius: 0.01 }));
-        let weights = part_weights(&EnvMap::constant(64, 32, [2.0, 1.0, 0.5]).into(), &lights).unwrap();
+        let light = EnvMap::constant(64, 32, [2.0, 1.0, 0.5]).into();
+        let weights = part_weights(&light, &header(lights)).unwrap();
         assert_eq!(weights.len(), 13);
         assert!(weights[0].part.starts_with("lobe001_az"), "{weights:?}");
         for weight in &weights[..12] {

@@ -2,19 +2,18 @@
 
 use std::fmt::Write as _;
 
-use crate::cli::weights::{PartWeight, PartWeights};
-use relume_capture::formats::exr_matrix::MatrixHeader;
+use crate::cli::weights::{PartWeight, PartWeights, one_line};
 
 /// Greatest number of channels of a script of Nuke.
 const MOST_CHANNELS: usize = 1023;
 /// Channels that every script has: red, green, blue, alpha, depth, forward and backward motion, mask.
 const USUAL_CHANNELS: usize = 12;
 
-/// A script that Nuke imports, or pastes from the clipboard.
+/// A script that Nuke imports, or pastes from the clipboard, for a matrix with images of this width and height.
 ///
 /// # Errors
 /// If the matrix has more channels than Nuke accepts.
-pub(super) fn script(weights: &PartWeights, header: MatrixHeader) -> Result<String, String> {
+pub(super) fn script(weights: &PartWeights, (width, height): (u32, u32)) -> Result<String, String> {
     let most = (MOST_CHANNELS - USUAL_CHANNELS) / 3;
     if weights.parts.len() > most {
         return Err(format!(
@@ -32,7 +31,6 @@ pub(super) fn script(weights: &PartWeights, header: MatrixHeader) -> Result<Stri
     for PartWeight { part, .. } in &weights.parts {
         let _ = writeln!(out, "add_layer {{{part} {part}.red {part}.green {part}.blue}}");
     }
-    let (width, height) = (header.width, header.height);
     let _ = write!(
         out,
         "Read {{\n inputs 0\n file_type exr\n file \"{}\"\n format \"{width} {height} 0 0 {width} {height} 1 \"\n raw true\n name LightMatrix\n}}\n\
@@ -52,10 +50,6 @@ pub(super) fn script(weights: &PartWeights, header: MatrixHeader) -> Result<Stri
         }
     }
     Ok(out)
-}
-
-fn one_line(text: &str) -> String {
-    text.replace(['\n', '\r'], " ")
 }
 
 /// `path` inside quotes of a script, with forward slashes.
@@ -85,9 +79,7 @@ mod tests {
         }
     }
 
-    fn header() -> MatrixHeader {
-        MatrixHeader { width: 640, height: 480, lights: Vec::new() }
-    }
+    const SIZE: (u32, u32) = (640, 480);
 
     /// The nodes of a script in order, with the number of nodes on the stack after each, as Nuke reads it.
     fn nodes(script: &str) -> Vec<(String, i32)> {
@@ -110,7 +102,7 @@ mod tests {
 
     #[test]
     fn the_script_adds_every_part_once() {
-        let script = script(&weights(3), header()).unwrap();
+        let script = script(&weights(3), SIZE).unwrap();
         let found = nodes(&script);
         let classes: Vec<&str> = found.iter().map(|(class, _)| class.as_str()).collect();
         let expected =
@@ -126,7 +118,7 @@ mod tests {
 
     #[test]
     fn more_layers_than_nuke_reads_are_refused() {
-        assert!(script(&weights(337), header()).is_ok(), "the control");
-        assert!(script(&weights(338), header()).unwrap_err().starts_with("--format nuke: "));
+        assert!(script(&weights(337), SIZE).is_ok(), "the control");
+        assert!(script(&weights(338), SIZE).unwrap_err().starts_with("--format nuke: "));
     }
 }
