@@ -47,7 +47,7 @@ class LightMatrix:
 
 
 def read(path: str | os.PathLike[str]) -> LightMatrix:
-    """The light matrix in a file."""
+    """The light matrix in a file. A file that is not a light matrix raises a ValueError."""
     names: list[str] = []
     directions: list[npt.NDArray[np.float64]] = []
     frames: list[npt.NDArray[Any]] = []
@@ -55,7 +55,7 @@ def read(path: str | os.PathLike[str]) -> LightMatrix:
     lobes = 0
     with OpenEXR.File(os.fspath(path), separate_channels=True) as exr:
         for part in exr.parts:
-            name = str(part.header["name"])
+            name = str(part.header.get("name", ""))
             if "A" in part.channels:
                 alpha = np.asarray(part.channels["A"].pixels, dtype=np.float32)
                 continue
@@ -89,7 +89,9 @@ def weights(
     texels = _turned(texels, rotation_deg) * 2.0**exposure_ev
     texels = _resampled(texels)
     found = np.zeros((len(matrix.names), 3))
-    lobe_of_texel, solid_angles = _lobes(matrix.lobes)
+    towards, lobe_of_texel, solid_angles = _lobes(matrix.lobes)
+    if not np.allclose(matrix.directions[: matrix.lobes], towards, atol=1e-4):
+        raise ValueError("matrix: has other lobes than this version of the client; render the matrix again")
     totals = np.bincount(lobe_of_texel, solid_angles, minlength=matrix.lobes)
     for channel in range(3):
         products = texels[..., channel].ravel() * solid_angles
@@ -100,7 +102,10 @@ def weights(
 def load_weights(source: str | os.PathLike[str] | Mapping[str, Any], matrix: LightMatrix) -> Weights:
     """The weights in a JSON file of `relume weights` (or its content) for a matrix: parts x 3."""
     content = source if isinstance(source, Mapping) else json.loads(Path(source).read_text())
-    by_name = {part["part"]: part["rgb"] for part in content["parts"]}
+    try:
+        by_name = {part["part"]: part["rgb"] for part in content["parts"]}
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{source}: are not weights; make them with `relume weights`") from error
     missing = [name for name in matrix.names if name not in by_name]
     if missing or len(by_name) != len(matrix.names):
         raise ValueError(f"the weights are those of another matrix: it has {len(by_name)} parts, without {missing[:3]}")
@@ -123,8 +128,11 @@ def relight(matrix: LightMatrix, weights: npt.ArrayLike) -> Plane:
     return out.astype(np.float32)
 
 
-def _lobes(count: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-    """Lobe and solid angle of each texel of the divided map, row-major. A texel belongs to the nearest direction of a Fibonacci spiral."""
+def _lobes(count: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """Direction of each lobe, and lobe and solid angle of each texel of the divided map, row-major.
+
+    A texel belongs to the nearest direction of a Fibonacci spiral.
+    """
     index = np.arange(count) + 0.5
     z = 1.0 - 2.0 * index / count
     radius = np.sqrt(np.maximum(1.0 - z * z, 0.0))
@@ -142,7 +150,7 @@ def _lobes(count: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
     nearest = np.argmax(texels.reshape(-1, 3) @ towards.T, axis=1)
     edges = np.cos(np.pi * np.arange(height + 1) / height)
     of_row = (edges[:-1] - edges[1:]) * 2.0 * np.pi / width
-    return nearest, np.repeat(of_row, width)
+    return towards, nearest, np.repeat(of_row, width)
 
 
 def _turned(texels: npt.NDArray[np.float64], degrees: float) -> npt.NDArray[np.float64]:

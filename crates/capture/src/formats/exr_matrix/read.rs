@@ -42,6 +42,12 @@ pub fn read_header(file: impl Read) -> Result<MatrixHeader, ImageFileError> {
                 "is not a light matrix: part {name:?} has no {DIRECTION}; render one with `relume render --light-matrix`"
             ))
         })?;
+        // Names become part of scripts.
+        if name.is_empty() || !name.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_') {
+            return Err(refused(format!(
+                "part {name:?}: the name has other characters than letters, digits and _; use the file that Relume wrote"
+            )));
+        }
         lights.push(light);
         names.push(name);
     }
