@@ -85,7 +85,8 @@ def test_a_map_is_turned_counter_clockwise(matrix: LightMatrix) -> None:
 
     def brightest(degrees: float) -> npt.NDArray[np.float64]:
         found = relume.light_matrix.weights(lamp, matrix, rotation_deg=degrees)
-        return matrix.directions[np.argmax(found[:, 0])]
+        towards: npt.NDArray[np.float64] = matrix.directions[np.argmax(found[:, 0])]
+        return towards
 
     assert brightest(0.0) @ [1.0, 0.0, 0.0] > 0.85
     assert brightest(90.0) @ [0.0, 1.0, 0.0] > 0.85

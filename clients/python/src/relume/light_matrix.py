@@ -158,7 +158,8 @@ def _turned(texels: npt.NDArray[np.float64], degrees: float) -> npt.NDArray[np.f
     whole = np.floor(columns)
     fraction = columns - whole
     left = np.roll(texels, -int(whole), axis=1)
-    return (1.0 - fraction) * left + fraction * np.roll(left, -1, axis=1)
+    turned: npt.NDArray[np.float64] = (1.0 - fraction) * left + fraction * np.roll(left, -1, axis=1)
+    return turned
 
 
 def _resampled(texels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -169,12 +170,14 @@ def _resampled(texels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         0.5 - 0.5 * np.cos(np.pi * np.arange(height + 1) / height),
         0.5 - 0.5 * np.cos(np.pi * np.arange(_SIZE[1] + 1) / _SIZE[1]),
     )
-    return np.einsum("yh,hwc,xw->yxc", rows, texels, columns, optimize=True)
+    means: npt.NDArray[np.float64] = np.einsum("yh,hwc,xw->yxc", rows, texels, columns, optimize=True)
+    return means
 
 
 def _overlaps(old: npt.NDArray[np.float64], new: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Share of each old cell in each new one, new x old, from the edges of both."""
     low = np.maximum(new[:-1, None], old[None, :-1])
     high = np.minimum(new[1:, None], old[None, 1:])
-    shares = np.maximum(high - low, 0.0)
-    return shares / shares.sum(axis=1, keepdims=True)
+    overlaps: npt.NDArray[np.float64] = np.maximum(high - low, 0.0)
+    overlaps /= overlaps.sum(axis=1, keepdims=True)
+    return overlaps
