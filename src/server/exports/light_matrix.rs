@@ -1,7 +1,6 @@
 //! Exports of light matrices: a multi-part EXR for each camera, written strip by strip into the work folder. Finished files stay there,
 //! so that the next server can continue after a stop.
 
-use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 use std::sync::Arc;
@@ -32,6 +31,8 @@ use relume_train::render::{FrameMetadata, MatrixLights, RenderError, Renderer};
 const MAX_LOBE_PIXELS: u64 = 1 << 28;
 /// Maximum number of lobes times pixels of all cameras together.
 const MAX_LOBE_PIXELS_OF_ALL: u64 = 1 << 32;
+/// End of the names of files that are being written.
+const PART: &str = ".part";
 /// Time after which work on a camera path lets other files use its thread.
 const SLICE: Duration = Duration::from_secs(30);
 
@@ -122,7 +123,8 @@ impl MatrixPlan {
         Ok(self.cameras.len())
     }
 
-    /// Writes the file of a camera atomically.
+    /// Writes the file of a camera atomically. The temporary file has a name of its own, because work on an earlier attempt may still
+    /// be ending.
     fn write_one(
         &self,
         (renderer, camera): (&Renderer, &Camera),
@@ -139,12 +141,14 @@ impl MatrixPlan {
         };
         let refused = |error: RenderError| ExportError::failed(error.to_string());
         let frames = renderer.light_matrix(camera, lights).map_err(refused)?;
-        let part = path.with_extension("part");
-        let mut file = BufWriter::with_capacity(1 << 20, File::create(&part)?);
+        let folder = path.parent().unwrap_or_else(|| Path::new("."));
+        let part = tempfile::Builder::new().suffix(PART).tempfile_in(folder)?;
+        let mut file = BufWriter::with_capacity(1 << 20, part);
         frames.write(&mut file, self.depth, &metadata, &|_| !token.is_cancelled()).map_err(failed)?;
-        let file = file.into_inner().map_err(std::io::IntoInnerError::into_error)?;
-        file.sync_all()?;
-        Ok(std::fs::rename(&part, path)?)
+        let part = file.into_inner().map_err(std::io::IntoInnerError::into_error)?;
+        part.as_file().sync_all()?;
+        part.persist(path).map_err(std::io::Error::from)?;
+        Ok(())
     }
 }
 
@@ -160,7 +164,11 @@ pub(super) async fn make(
     let (source, sha256) = models::source(app, &export.tenant, &export.model_id).await?;
     let folder = app.store.export_folder(&export.id);
     let at = folder.clone();
-    run_blocking(move || Ok(keep_only_frames_of(&at, &sha256)?)).await?;
+    let clean = move || {
+        keep_only_frames_of(&at, &sha256)?;
+        Ok(remove_parts(&at)?)
+    };
+    run_blocking(clean).await?;
     let width = plan.cameras.iter().map(|camera| camera.width).max().unwrap_or(0);
     let bytes_of = |size| light_matrix_bytes(size, spec.lobes, width);
     let mut recorded = bytes_there(&folder, plan.cameras()).await;
@@ -189,6 +197,17 @@ pub(super) async fn make(
         (path.clone(), (0..plan.cameras()).map(file_name).collect::<Vec<_>>(), token.clone());
     run_blocking(move || Ok(zip::pack(&folder, &names, &to, &|| !token.is_cancelled())?)).await?;
     Ok(ExportedFile { path, name: format!("{model}-light-matrix.zip"), content_type: "application/zip" })
+}
+
+/// Removes the unfinished files of an earlier attempt.
+fn remove_parts(folder: &Path) -> std::io::Result<()> {
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        if entry.file_name().to_string_lossy().ends_with(PART) {
+            std::fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
 }
 
 /// Records that the first `done` files are complete, of which `before` bytes were recorded. Returns their bytes.
