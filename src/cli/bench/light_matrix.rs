@@ -48,7 +48,7 @@ pub(super) fn run(args: &LightMatrixArgs) -> CommandResult {
         "matrix / (light + frame)",
     ];
     let mut times = head(&["model"], numbers);
-    let mut errors = head(&["model", "light"], ["lobes", "suns", "error, lobes alone", "error, with suns"]);
+    let mut errors = head(&["model", "light"], ["lobes", "suns", "even in each lobe", "whole map, lobes alone", "whole map, with suns"]);
     for path in &args.models {
         let bench_model = BenchModel::read(path)?;
         let renderer = Renderer::new(bench_model.model.clone());
@@ -64,7 +64,8 @@ pub(super) fn run(args: &LightMatrixArgs) -> CommandResult {
     let text = format!(
         "CPU engine, {} threads; {} px, tier standard. Light: preparation of another map of the same model. Matrix: tables of the lobes, frames \
          and their weighted sum; file: the same with half floats and compression in place of the sum. The fastest of {}.\n\n{times}\nErrors of weighted \
-         sums against the frame under the whole map: root mean square over covered pixels, relative to that of the frame.\n\n{errors}",
+         sums against the frame under the same light: root mean square over covered pixels, relative to that of the frame. Even in each lobe: the map \
+         with the mean radiance in each lobe, which a matrix reproduces.\n\n{errors}",
         rayon::current_num_threads(),
         args.size,
         args.repeats
@@ -140,20 +141,19 @@ impl Bench<'_> {
         let mut out = String::new();
         for name in &self.args.envs {
             let light = illumination(name, self.renderer.model())?;
-            let prepared = self.renderer.prepare_light(light.clone())?;
-            let frame = self.renderer.render(&self.camera, &prepared, Tier::Standard, &[Output::Rgb])?;
-            let expected = frame.planes.get(&Output::Rgb).map_or(&[][..], Vec::as_slice).as_chunks::<3>().0;
-            let alpha = frame.planes.get(&Output::Alpha).map_or(&[][..], Vec::as_slice);
+            let suns: Vec<SplitLight> = dominant_lights(&light).1.iter().map(SplitLight::from).collect();
             for &lobes in &self.args.lobes {
-                let suns: Vec<SplitLight> = dominant_lights(&light).1.iter().map(SplitLight::from).collect();
-                let count = suns.len();
-                let alone = self.error((expected, alpha), &light, lobes, Vec::new())?;
-                let with_suns = self.error((expected, alpha), &light, lobes, suns)?;
+                let partition = LightLobes::new(lobes as usize);
+                let weights = MatrixWeights::of(&light, &partition, &[]).columns();
+                let even = self.error(&partition.combined(&weights).into(), &partition, Vec::new())?;
+                let alone = self.error(&light, &partition, Vec::new())?;
+                let with_suns = self.error(&light, &partition, suns.clone())?;
                 out += &row([
                     self.name.to_owned(),
                     name.clone(),
                     lobes.to_string(),
-                    count.to_string(),
+                    suns.len().to_string(),
+                    format!("{even:.1e}"),
                     format!("{alone:.4}"),
                     format!("{with_suns:.4}"),
                 ]);
@@ -162,17 +162,25 @@ impl Bench<'_> {
         Ok(out)
     }
 
-    /// Relative error of the weighted sum for `light` over the covered pixels.
+    /// Error of the weighted sum for `light` against the frame under it: root mean square over the covered pixels, relative to that of
+    /// the frame.
     fn error(
         &self,
-        (expected, alpha): (&[[f32; 3]], &[f32]),
         light: &Illumination,
-        lobes: u32,
+        lobes: &LightLobes,
         suns: Vec<SplitLight>,
-    ) -> Result<f64, RenderError> {
-        let weights = MatrixWeights::of(light, &LightLobes::new(lobes as usize), &suns).columns();
-        let lights = self.lights(lobes, suns);
+    ) -> CommandResult<f64> {
+        let prepared = self.renderer.prepare_light(light.clone())?;
+        let outputs = [Output::Rgb, Output::Alpha];
+        let frame = self.renderer.render(&self.camera, &prepared, Tier::Standard, &outputs)?;
+        let plane = |output| frame.planes.get(&output).map_or(&[][..], Vec::as_slice);
+        let (expected, alpha) = (plane(Output::Rgb).as_chunks::<3>().0, plane(Output::Alpha));
+        let weights = MatrixWeights::of(light, lobes, &suns).columns();
+        let lights = self.renderer.matrix_lights(lobes, suns);
         let found = self.renderer.light_matrix(&self.camera, &lights)?.weighted_sum(&weights);
+        if expected.len() != found.len() || alpha.len() != found.len() {
+            return Err("the frame and the matrix have different sizes".into());
+        }
         let (mut square, mut whole) = (0.0f64, 0.0f64);
         for ((a, b), _) in expected.iter().zip(&found).zip(alpha).filter(|(_, alpha)| **alpha > 0.0) {
             for c in 0..3 {
