@@ -18,7 +18,8 @@ use tempfile::TempDir;
 use relume_fixtures::data;
 use relume_fixtures::small_set::{camera, picture};
 
-const PHOTOGRAPHS: usize = 8;
+/// Number of photographs in a [`Place`].
+pub const PHOTOGRAPHS: usize = 8;
 
 /// A folder with photographs, and one with programs, including a script named `colmap`.
 pub struct Place {
@@ -57,6 +58,11 @@ impl Place {
         self.folder.path().join(path)
     }
 
+    /// A PATH with the scripts first.
+    pub fn path(&self) -> String {
+        format!("{}:{}", self.at("bin").display(), std::env::var("PATH").unwrap())
+    }
+
     fn program(&self, name: &str, script: &str) {
         let path = self.at("bin").join(name);
         fs::write(&path, format!("#!/bin/sh\n{script}")).unwrap();
@@ -79,8 +85,7 @@ impl Place {
 
     /// Runs this program with the scripts first on PATH, or, without `with_tools`, with an empty PATH.
     fn relume(&self, arguments: &[&str], with_tools: bool) -> Output {
-        let system = std::env::var("PATH").unwrap();
-        let path = if with_tools { format!("{}:{system}", self.at("bin").display()) } else { String::new() };
+        let path = if with_tools { self.path() } else { String::new() };
         let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
         command.args(arguments).current_dir(self.folder.path()).env("PATH", path).output().unwrap()
     }

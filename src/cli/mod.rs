@@ -19,6 +19,7 @@ mod import;
 mod input;
 mod key;
 mod keys;
+mod licences;
 mod light;
 mod logs;
 mod output;
@@ -102,6 +103,9 @@ enum Command {
     Db(database::DbArgs),
     /// Print the OpenAPI description of the HTTP API.
     Openapi,
+    /// Print the licences of the program and of the packages in it, with their texts.
+    #[command(alias = "licenses")]
+    Licences,
 }
 
 impl Command {
@@ -143,6 +147,7 @@ fn run(command: Command) -> ExitCode {
         Command::Restore(args) => backup::restore(&args),
         Command::Db(args) => database::run(&args),
         Command::Openapi => openapi(),
+        Command::Licences => licences::run(),
     };
     exit(outcome.map(|()| ExitCode::SUCCESS))
 }

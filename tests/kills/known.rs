@@ -2,11 +2,14 @@
 
 use std::collections::BTreeSet;
 
+use relume_api::captures::CaptureState;
 use relume_api::jobs::JobState;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
     Capture,
+    /// Photographs without poses.
+    Photographs,
     Environment,
     Upload,
     Job,
@@ -35,7 +38,9 @@ pub struct Thing {
     pub names: BTreeSet<Option<String>>,
     /// The final state of a job, once it was observed.
     pub ended: Option<JobState>,
-    /// True after a confirmed cancellation of the job.
+    /// The final state of the validation of photographs, once it was observed.
+    pub validation: Option<CaptureState>,
+    /// True after a confirmed cancellation of the job, or after a request to delete the photographs.
     pub stopping: bool,
     /// The capture of a job, the model of an export.
     pub parent: String,
@@ -57,6 +62,7 @@ impl Thing {
             fate: Fate::Kept,
             names: [None].into(),
             ended: None,
+            validation: None,
             stopping: false,
             parent: String::new(),
             reflectances: [None].into(),

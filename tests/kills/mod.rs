@@ -14,6 +14,7 @@ use relume::store::{Inspection, inspect};
 use relume_client::Client;
 use tempfile::TempDir;
 
+use crate::poses::{COPY, Place};
 use crate::server_process::Server;
 use crate::service_support::files_under;
 use client::{Requests, Stop};
@@ -27,9 +28,10 @@ const SEED: u64 = 11;
 /// revoked.
 const KEY: &str = "a-key-of-the-operator-of-these-tests";
 
-/// The server, with webhooks to this machine permitted.
-fn start(data: &Path) -> (Server, Client) {
+/// The server, with webhooks to this machine permitted and a script in place of COLMAP.
+fn start(data: &Path, tools: &Place) -> (Server, Client) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_relume"));
+    command.env("PATH", tools.path());
     command.env("RELUME_API_KEYS", KEY);
     // Uploads whose creation was not answered are kept for a day.
     command.env("RELUME_MAX_UPLOADS_PER_TENANT", "100000");
@@ -60,8 +62,11 @@ async fn verify(clients: &mut [Requests], client: &Client) -> Result<(), Stop> {
     Ok(())
 }
 
-/// Waits for the end of all jobs, including jobs that no client knows, then stops the server with a signal.
+/// Waits for the end of all jobs and validations, including those that no client knows, then stops the server with a signal.
 async fn end_well(mut server: Server, client: &Client, clients: &mut [Requests]) {
+    while Requests::any_validation(client).await {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
     for state in ["queued", "running", "cancelling"] {
         while Requests::any_job(client, state).await {
             tokio::time::sleep(Duration::from_millis(20)).await;
@@ -83,10 +88,12 @@ async fn sound(data: &Path) -> Inspection {
 async fn two_hundred_kills_lose_nothing_that_was_acknowledged() {
     let kills = std::env::var("RELUME_KILLS").map_or(KILLS, |count| count.parse().unwrap());
     let data = TempDir::new().unwrap();
+    // Many searches for poses are killed while this script sleeps.
+    let tools = Place::new("3.8", "sleep 0.05", COPY);
     let mut random = ChaCha8Rng::seed_from_u64(SEED);
     let mut clients: Vec<Requests> = (0..CLIENTS).map(|client| Requests::new(SEED, client)).collect();
     for kill in 0..kills {
-        let (server, client) = start(data.path());
+        let (server, client) = start(data.path(), &tools);
         // Some starts are killed before any request.
         if random.random_bool(0.9) {
             verify(&mut clients, &client).await.unwrap_or_else(|stop| panic!("before kill {kill}: {stop:?}"));
@@ -99,13 +106,16 @@ async fn two_hundred_kills_lose_nothing_that_was_acknowledged() {
         sound(data.path()).await;
     }
 
-    let (server, client) = start(data.path());
+    let (server, client) = start(data.path(), &tools);
     verify(&mut clients, &client).await.unwrap();
     end_well(server, &client, &mut clients).await;
     let answered: u64 = clients.iter().map(|requests| requests.answered).sum();
     println!("{kills} kills amid {answered} steps: {:?}", Requests::counts(&clients));
     assert!(answered > kills, "the control: the server was killed amid work, not before any");
-    let (server, client) = start(data.path());
+    let posed: u64 = clients.iter().map(|requests| requests.posed).sum();
+    println!("poses of {posed} sets of photographs were found");
+    assert!(posed > 0, "the control: no poses were found");
+    let (server, client) = start(data.path(), &tools);
     verify(&mut clients, &client).await.unwrap();
     end_well(server, &client, &mut clients).await;
     let found = sound(data.path()).await;
@@ -117,11 +127,11 @@ async fn two_hundred_kills_lose_nothing_that_was_acknowledged() {
     };
     let files = files_under(&data.path().join("artifacts"));
     assert!(files.iter().all(|(name, _)| known(name)), "{files:?}");
-    the_checks_find_what_is_lost(data.path(), &clients).await;
+    the_checks_find_what_is_lost(data.path(), &tools, &clients).await;
 }
 
 /// Negative control: a lost file, a lost row and a reverted state are detected.
-async fn the_checks_find_what_is_lost(data: &Path, clients: &[Requests]) {
+async fn the_checks_find_what_is_lost(data: &Path, tools: &Place, clients: &[Requests]) {
     let files = files_under(&data.join("artifacts"));
     let (capture, _) =
         files.iter().find(|(name, _)| name.starts_with("captures/")).expect("a capture is left");
@@ -134,6 +144,7 @@ async fn the_checks_find_what_is_lost(data: &Path, clients: &[Requests]) {
     let mut tried = 0;
     for (kind, loss) in [
         (Kind::Capture, "UPDATE captures SET deleted_ms = 1"),
+        (Kind::Photographs, "UPDATE captures SET deleted_ms = 1"),
         (Kind::Job, "UPDATE jobs SET deleted_ms = 1"),
         (Kind::Export, "UPDATE exports SET deleted_ms = 1"),
         (Kind::Webhook, "DELETE FROM webhooks"),
@@ -150,7 +161,7 @@ async fn the_checks_find_what_is_lost(data: &Path, clients: &[Requests]) {
             sqlx::SqlitePool::connect(&format!("sqlite:{}", copy.join("relume.db").display())).await.unwrap();
         sqlx::raw_sql(loss).execute(&pool).await.unwrap();
         pool.close().await;
-        let (server, client) = start(&copy);
+        let (server, client) = start(&copy, tools);
         let lost = verify(&mut clients.to_vec(), &client).await;
         assert!(matches!(lost, Err(Stop::Wrong(_))), "{loss}: {lost:?}");
         server.kill();

@@ -1,6 +1,7 @@
 //! A client that sends random requests, one after another, and records the answers.
 
 mod models;
+mod poses;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -76,6 +77,8 @@ pub struct Requests {
     /// A submission without an answer, with its idempotency key. It is repeated before other requests.
     unanswered: Option<(NewJob, String)>,
     pub answered: u64,
+    /// Number of sets of photographs whose poses the server found.
+    pub posed: u64,
     counts: BTreeMap<Kind, usize>,
 }
 
@@ -84,7 +87,7 @@ impl Requests {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(number + 1);
         let (things, counts) = (Vec::new(), BTreeMap::new());
-        Self { random, number, made: 0, things, unanswered: None, answered: 0, counts }
+        Self { random, number, made: 0, things, unanswered: None, answered: 0, posed: 0, counts }
     }
 
     /// Number of resources of each kind that all clients created.
@@ -147,7 +150,8 @@ impl Requests {
         }
         match self.random.random_range(0..100) {
             0..12 => self.upload(client).await,
-            12..30 => self.upload_in_pieces(client).await,
+            12..27 => self.upload_in_pieces(client).await,
+            27..30 => self.upload_or_delete_photographs(client).await,
             30..42 => self.submit(client).await,
             42..50 => self.cancel(client).await,
             50..54 => self.retry(client).await,
@@ -405,6 +409,7 @@ impl Requests {
                     (view.is_some(), None)
                 }
                 Kind::Export => (self.verify_export(client, place).await?, None),
+                Kind::Photographs => (self.verify_photographs(client, place).await?, None),
                 Kind::Webhook => (found(client.webhook(&id.into()).await)?.is_some(), None),
                 Kind::Key => (self.lets_in(client, place).await?, None),
                 Kind::Job => continue,
