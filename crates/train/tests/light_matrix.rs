@@ -130,6 +130,25 @@ fn frame_of_a_lobe_is_the_frame_under_its_map() {
 }
 
 #[test]
+fn only_clamped_irradiance_separates_a_lobe_from_its_frame() {
+    let lobes = LightLobes::new(12);
+    let renderer = renderer(ShadingOptions::default());
+    let one = |k: usize| -> Vec<[f32; 3]> { (0..12).map(|i| [f32::from(u8::from(i == k)); 3]).collect() };
+    let all: Vec<[Vec<f32>; 2]> = (0..12)
+        .map(|k| both(&renderer, &whole(lobes.combined(&one(k))), &lobes, (Vec::new(), &one(k))))
+        .collect();
+    let worst = all.iter().map(relative).fold(0.0, f64::max);
+    println!("worst error of a lobe with clamped irradiance: {worst:.2e}");
+    assert!(worst > 1e-3, "the clamp binds: {worst}");
+    let pixels = || all.iter().flat_map(|[frame, lobe]| frame.iter().zip(lobe));
+    assert!(pixels().all(|(frame, _)| *frame >= 0.0), "frames are never negative");
+    assert!(pixels().any(|(_, lobe)| *lobe < -1e-5), "lobes are, where the frame is clamped");
+    // The clamp only adds light to the surface itself; of other surfaces it is the light that they reflect.
+    let lost = pixels().map(|(frame, lobe)| f64::from(frame - lobe)).sum::<f64>();
+    assert!(lost > 0.0, "the clamp adds light: {lost}");
+}
+
+#[test]
 fn file_of_a_matrix_has_its_frames_for_any_number_of_threads() {
     let lobes = LightLobes::new(3);
     let renderer = renderer(ShadingOptions::default());
