@@ -26,6 +26,7 @@ mod hostile;
 mod job_machine;
 mod kills;
 mod light_groups;
+mod light_matrix;
 mod metadata;
 mod nul_characters;
 mod on_postgres;

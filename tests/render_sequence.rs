@@ -13,21 +13,21 @@ fn relume(folder: &Path, args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_relume")).args(args).current_dir(folder).output().unwrap()
 }
 
-fn succeeds(folder: &Path, args: &[&str]) -> String {
+pub fn succeeds(folder: &Path, args: &[&str]) -> String {
     let output = relume(folder, args);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{args:?}: {said}");
     said
 }
 
-fn fails_with(folder: &Path, args: &[&str], word: &str) {
+pub fn fails_with(folder: &Path, args: &[&str], word: &str) {
     let output = relume(folder, args);
     let message = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success() && message.contains(word), "{args:?}: {message}");
 }
 
 /// A folder with `m.safetensors`, a model of a few steps.
-fn with_model() -> TempDir {
+pub fn with_model() -> TempDir {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("scan.zip"), capture_zip()).unwrap();
     let train = ["train", "scan.zip", "--preset", "draft", "--resolution", "32", "--device", "cpu"];
@@ -37,7 +37,7 @@ fn with_model() -> TempDir {
     folder
 }
 
-fn names(folder: &Path) -> Vec<String> {
+pub fn names(folder: &Path) -> Vec<String> {
     let mut names: Vec<_> = fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name()).collect();
     names.sort();
     names.into_iter().map(|name| name.into_string().unwrap()).collect()

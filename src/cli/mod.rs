@@ -37,6 +37,7 @@ mod traces;
 mod train;
 mod train_summary;
 mod version;
+mod weights;
 mod worker;
 mod worker_progress;
 mod workers;
@@ -74,6 +75,8 @@ enum Command {
     Train(Box<train::TrainArgs>),
     /// Render a model on this machine.
     Render(render::RenderArgs),
+    /// Print the weights of an environment map for the parts of a light matrix.
+    Weights(weights::WeightsArgs),
     /// Write a small synthetic capture for testing the service.
     Sample(sample::SampleArgs),
     /// Compare a model with the held-out views and the ground truth of a capture.
@@ -130,6 +133,7 @@ fn run(command: Command) -> ExitCode {
         Command::Capture(args) => return exit(capture::run(&args)),
         Command::Train(args) => return exit(train::run(&args)),
         Command::Render(args) => render::run(&args),
+        Command::Weights(args) => weights::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Calibrate(args) => calibrate::run(&args),

@@ -1,5 +1,6 @@
 //! Atomic writing of output files.
 
+use std::fs::File;
 use std::io::Write;
 use std::path::Path;
 
@@ -27,6 +28,14 @@ pub(super) fn write_named(path: &Path, bytes: &[u8]) -> Result<(), String> {
 
 /// Writes to a temporary file beside `path`, syncs and renames it, so that no reader sees a partial file.
 pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    write_by(path, |file| file.write_all(bytes))
+}
+
+/// As [`write_whole`], with the bytes that `write` writes into the file.
+pub(super) fn write_by<E: From<std::io::Error>>(
+    path: &Path,
+    write: impl FnOnce(&mut File) -> Result<(), E>,
+) -> Result<(), E> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
     std::fs::create_dir_all(folder)?;
     let mut builder = tempfile::Builder::new();
@@ -35,8 +44,8 @@ pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let mut file = builder.tempfile_in(folder)?;
-    file.write_all(bytes)?;
+    write(file.as_file_mut())?;
     file.as_file().sync_all()?;
-    file.persist(path)?;
+    file.persist(path).map_err(std::io::Error::from)?;
     Ok(())
 }

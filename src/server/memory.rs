@@ -133,6 +133,14 @@ pub(super) fn export_bytes(size: u64, cells: usize) -> u64 {
     5 * size + mesh
 }
 
+/// Bytes for a light matrix of `lobes` with images of at most `width` pixels, of a model with a file of `size` bytes: the model and what its surfaces
+/// hide from each other, the tables of the lobes, a group of lobes at the Gaussians, and a strip of the images for each thread.
+pub(super) fn light_matrix_bytes(size: u64, lobes: u32, width: u32) -> u64 {
+    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get) as u64;
+    let group = (9 * size).min(640 << 20);
+    14 * size + group + u64::from(lobes) * (384 << 10) + threads * u64::from(width) * (16 << 10)
+}
+
 /// Bytes for the replacement of a model with a file of `size` bytes: the file, the model, and the two new files.
 pub(super) fn rewrite_bytes(size: u64) -> u64 {
     4 * size

@@ -111,6 +111,10 @@ export function exportName({ kind, request, progress }: Export, lightName: (ligh
     const size = request.width && request.height ? `, ${request.width} × ${request.height} px` : ''
     return `${what}, ${progress.total} frames${size}, ${lightName(request.environment)}`
   }
+  if (request?.kind === 'light_matrix') {
+    const size = request.width && request.height ? `, ${request.width} × ${request.height} px` : ''
+    return `Light matrix, ${request.lobes ?? 128} lobes${progress.total > 1 ? `, ${progress.total} cameras` : ''}${size}`
+  }
   if (request && 'environment' in request && request.environment) return `${kind.toUpperCase()}, ${lightName(request.environment)}`
   return kind in TAKEN ? TAKEN[kind as keyof typeof TAKEN].replace(/ \(.*\)$/, '') : kind
 }

@@ -7,9 +7,12 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
+import OpenEXR
 import pytest
 
 import relume
+from relume.light_matrix import _lobes
 
 pytestmark = pytest.mark.skipif("RELUME_SERVER" not in os.environ, reason="needs a server: .ci/python starts one")
 
@@ -65,6 +68,36 @@ def test_files_are_made_on_the_server(trained: tuple[relume.Capture, relume.Mode
     with pytest.raises(relume.ExportFailed, match="cancelled"):
         long.wait(progress=False, timeout=60)
     long.delete()
+
+
+def test_a_weighted_sum_of_a_light_matrix_is_the_frame(
+    client: relume.Client, trained: tuple[relume.Capture, relume.Model], tmp_path: Path
+) -> None:
+    model, camera = trained[1], relume.orbit(30, 20)
+    export = model.export("light_matrix", camera=camera, width=64, height=48, lobes=32).wait(progress=False)
+    matrix = relume.light_matrix.read(export.save(tmp_path / "matrix.exr"))
+    assert matrix.frames.shape == (32, 48, 64, 3) and matrix.lobes == 32
+    x, y, z = matrix.directions.T
+    even = np.stack([1.2 + z, 1.0 + 0.5 * x, 0.8 + 0.6 * y * z], axis=-1)
+    # A map that is even in each lobe: the texels of the divided map have the weight of their lobe.
+    sky = even[_lobes(32)[1]].reshape(128, 256, 3).astype(np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"RGB": sky}) as file:
+        file.write(str(tmp_path / "sky.exr"))
+    frame = model.render(camera, client.upload_environment(tmp_path / "sky.exr"), size=(64, 48))["rgb"]
+
+    def error(weights: npt.NDArray[np.float64]) -> float:
+        return float(np.linalg.norm(relume.light_matrix.relight(matrix, weights) - frame) / np.linalg.norm(frame))
+
+    weights = relume.light_matrix.weights(sky, matrix)
+    assert error(weights) < 1e-3, "half floats"
+    assert error(weights[::-1]) > 0.05, "the control: the weights of other lobes"
+    turned = model.render(camera, client.upload_environment(tmp_path / "sky.exr"), size=(64, 48), rotation_deg=90.0)["rgb"]
+    of_turned = relume.light_matrix.weights(sky, matrix, rotation_deg=90.0)
+    summed = relume.light_matrix.relight(matrix, of_turned)
+    # The turned map is not even in each lobe.
+    assert np.linalg.norm(summed - turned) < 0.05 * np.linalg.norm(turned)
+    assert np.linalg.norm(summed - frame) > 0.1 * np.linalg.norm(frame), "the control: the map as it was"
 
 
 def test_a_linear_frame_is_the_picture_that_the_server_shows(trained: tuple[relume.Capture, relume.Model]) -> None:

@@ -6,6 +6,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::cameras::CameraSpec;
 use crate::jobs::JobError;
 use crate::models::FileView;
 use crate::renders::EnvironmentSpec;
@@ -15,7 +16,7 @@ use relume_spec::rendering::{
     Tier, ToneCurve,
 };
 
-/// An export to create. `kind` selects one of the three forms.
+/// An export to create. `kind` selects one of the four forms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(untagged)]
 pub enum NewExport {
@@ -25,6 +26,8 @@ pub enum NewExport {
     Splats(SplatsExport),
     /// A textured triangle mesh.
     Mesh(MeshExport),
+    /// A light matrix.
+    LightMatrix(Box<LightMatrixExport>),
 }
 
 impl NewExport {
@@ -39,6 +42,7 @@ impl NewExport {
                 SplatsKind::Ply => ExportKind::Ply,
             },
             Self::Mesh(_) => ExportKind::Mesh,
+            Self::LightMatrix(_) => ExportKind::LightMatrix,
         }
     }
 }
@@ -47,7 +51,7 @@ impl NewExport {
 ///
 /// `frames`: a sequence of frames as a zip or a video. `gltf`: glTF with KHR_gaussian_splatting, `.glb`.
 /// `usd`: OpenUSD as text, `.usda`. `usdz`: an OpenUSD package, `.usdz`. `ply`: PLY. `mesh`: a textured
-/// triangle mesh, `.glb`.
+/// triangle mesh, `.glb`. `light_matrix`: a frame for each lobe of light, multi-part `.exr`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(feature = "sqlx", derive(sqlx::Type), sqlx(type_name = "text", rename_all = "snake_case"))]
 #[serde(rename_all = "snake_case")]
@@ -64,6 +68,8 @@ pub enum ExportKind {
     Ply,
     /// A textured triangle mesh, `.glb`.
     Mesh,
+    /// A frame for each lobe of light, multi-part `.exr`.
+    LightMatrix,
 }
 
 impl ExportKind {
@@ -76,6 +82,7 @@ impl ExportKind {
             Self::Usdz => "usdz",
             Self::Ply => "ply",
             Self::Mesh => "mesh",
+            Self::LightMatrix => "light_matrix",
         }
     }
 }
@@ -290,6 +297,76 @@ pub struct MeshExport {
     pub cells: u32,
 }
 
+/// Kind of a light matrix export.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LightMatrixKind {
+    /// A light matrix.
+    #[default]
+    LightMatrix,
+}
+
+/// A frame for each lobe of light in one multi-part EXR, as from `relume render --light-matrix`. Exactly one of
+/// `camera` and `path` is required. The file of one camera has at most (3 x parts + 1) x width x height x 2
+/// bytes (4 with `float`), where parts are the lobes and the strong small lights.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LightMatrixExport {
+    /// `light_matrix`.
+    pub kind: LightMatrixKind,
+    /// Camera, as in a render request. The result is one `.exr`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub camera: Option<CameraSpec>,
+    /// Cameras, 1 to 10,000, as in an export of frames. The result is a zip with one `.exr` for each.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(value_type = Option<Object>)]
+    pub path: Option<Value>,
+    /// nerfstudio's `dataparser_transforms.json` of the training in which the `camera_path` was made.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub path_world: Option<NerfstudioWorld>,
+    /// Width, 1 to 4096 pixels. Must be given together with `height`. Omitted: 512 for `camera`; the size that
+    /// the path states.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[serde(deserialize_with = "crate::lenient::optional_pixels")]
+    #[schema(minimum = 1, maximum = 4096)]
+    pub width: Option<u32>,
+    /// Height, 1 to 4096 pixels. Must be given together with `width`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[serde(deserialize_with = "crate::lenient::optional_pixels")]
+    #[schema(minimum = 1, maximum = 4096)]
+    pub height: Option<u32>,
+    /// Number of lobes, 1 to 512. Lobes times pixels must not exceed 268,435,456 for a camera and
+    /// 4,294,967,296 for all cameras together. Omitted: 128.
+    #[serde(default = "lobes")]
+    #[schema(minimum = 1, maximum = 512)]
+    pub lobes: u32,
+    /// Environment whose strong small lights also get a frame each. `inline_base64` is not accepted, and
+    /// `exposure_ev` must be 0. Omitted: lobes only.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub environment: Option<EnvironmentSpec>,
+    /// Number type of the colours: `half` or `float`. Omitted: `half`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(inline)]
+    pub colour_depth: Option<ColourDepth>,
+}
+
+impl LightMatrixExport {
+    /// A matrix of `camera`. All other fields have their defaults.
+    pub fn of(camera: CameraSpec) -> Self {
+        Self {
+            kind: LightMatrixKind::LightMatrix,
+            camera: Some(camera),
+            path: None,
+            path_world: None,
+            width: None,
+            height: None,
+            lobes: lobes(),
+            environment: None,
+            colour_depth: None,
+        }
+    }
+}
+
 /// State of an export: `queued`, `running`, or one of the final states `succeeded`, `failed` and `cancelled`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -369,6 +446,10 @@ fn full_turn() -> f64 {
 
 fn most_degree() -> u32 {
     MAX_BAKED_DEGREE as u32
+}
+
+fn lobes() -> u32 {
+    128
 }
 
 fn cells() -> u32 {

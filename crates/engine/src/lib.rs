@@ -33,7 +33,10 @@ pub use activation::{sigmoid, sigmoid_derivative, softmax};
 pub use adam::{StepCounts, StepSizes};
 pub use adapter::{AdapterReport, DeviceChoice, choose_adapter};
 pub use camera::RasterCamera;
-pub use cpu::{HostLight, HostModel, OccluderBvh, Surface, SurfaceEdit, SurfaceShader, VisibleSurface};
+pub use cpu::{
+    HostLight, HostModel, LightMatrix, MatrixLight, OccluderBvh, ShadedColumns, Surface, SurfaceEdit,
+    SurfaceShader, VisibleSurface,
+};
 pub use density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin};
 pub use device::{Device, adapters};
 pub use display::{linear_from_srgb, srgb, srgb_derivative};

@@ -3,19 +3,12 @@
 
 use glam::Vec3;
 
+use relume_scene::light::fibonacci_directions;
 use relume_scene::{ShadingOptions, SplitLight};
 
 /// `n` directions spread evenly over the sphere (Fibonacci spiral).
 pub fn fibonacci_sphere(n: usize) -> Vec<[f32; 3]> {
-    let golden = std::f64::consts::PI * (1.0 + 5.0f64.sqrt());
-    (0..n)
-        .map(|i| {
-            let z = 1.0 - 2.0 * (i as f64 + 0.5) / n as f64;
-            let r = (1.0 - z * z).max(0.0).sqrt();
-            let phi = golden * (i as f64 + 0.5);
-            [(r * phi.cos()) as f32, (r * phi.sin()) as f32, z as f32]
-        })
-        .collect()
+    fibonacci_directions(n).into_iter().map(|d| d.to_array().map(|v| v as f32)).collect()
 }
 
 /// Angular radius up to which a light counts as a point, radians.

@@ -148,9 +148,7 @@ impl EnvMap {
     /// solid angle, so that total power does not change. A larger size repeats texels.
     #[must_use]
     pub fn resampled(&self, width: usize, height: usize) -> Self {
-        let columns = overlaps(self.width, width, |i, n| i as f64 / n as f64);
-        // Rows are weighted by the sphere's area between their edges: cos is that area's antiderivative.
-        let rows = overlaps(self.height, height, |i, n| 0.5 - 0.5 * (PI * i as f64 / n as f64).cos());
+        let [columns, rows] = texel_overlaps((self.width, self.height), (width, height));
         let mut texels = Vec::with_capacity(width * height);
         for row in &rows {
             for column in &columns {
@@ -177,6 +175,15 @@ impl EnvMap {
         texels.iter_mut().flatten().for_each(|v| *v *= gain);
         Self { width: self.width, height: self.height, texels }
     }
+}
+
+/// For each column and for each row of a map of size `to`, the columns or rows of a map of size `from` that it covers, with weights
+/// whose products are proportional to the covered solid angle.
+pub(crate) fn texel_overlaps(from: (usize, usize), to: (usize, usize)) -> [Vec<Vec<(usize, f64)>>; 2] {
+    let columns = overlaps(from.0, to.0, |i, n| i as f64 / n as f64);
+    // Rows are weighted by the sphere's area between their edges: cos is that area's antiderivative.
+    let rows = overlaps(from.1, to.1, |i, n| 0.5 - 0.5 * (PI * i as f64 / n as f64).cos());
+    [columns, rows]
 }
 
 /// For each of `to` cells, the `from` cells it overlaps with their overlaps; `edge(i, n)` maps cell edges to [0, 1].

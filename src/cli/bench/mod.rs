@@ -5,6 +5,7 @@ mod complexity;
 #[cfg(feature = "gpu")]
 mod device;
 mod input;
+mod light_matrix;
 mod matrix;
 mod plot;
 mod poses;
@@ -32,6 +33,8 @@ enum BenchCommand {
     #[cfg(feature = "gpu")]
     /// Measure a device by number of Gaussians: milliseconds per stage and step, frames per second, memory.
     Device(device::DeviceArgs),
+    /// Measure time and error of light matrices against frames.
+    LightMatrix(light_matrix::LightMatrixArgs),
     /// Train each capture with each variant of the settings; write the accuracies as one table.
     Matrix(matrix::MatrixArgs),
     /// Measure how much each layer of a model contributes to the error of relit pictures, in dB, by replacing layers with ground
@@ -59,6 +62,7 @@ pub(super) fn run(args: &BenchArgs) -> CommandResult {
     match &args.command {
         #[cfg(feature = "gpu")]
         BenchCommand::Device(args) => device::run(args),
+        BenchCommand::LightMatrix(args) => light_matrix::run(args),
         BenchCommand::Matrix(args) => matrix::run(args),
         BenchCommand::Attribution(args) => attribution::run(args),
         BenchCommand::Poses(args) => poses::run(args),

@@ -6,6 +6,7 @@ use super::frame_list::FrameList;
 use crate::cli::args::{QualityArgs, named};
 use relume_engine::DeviceChoice;
 use relume_scene::Model;
+use relume_scene::light::MAX_LOBES;
 use relume_spec::rendering::{AlphaMode, Background, ColourDepth, Output, Primaries, ToneCurve};
 
 /// Options of `relume render`.
@@ -14,8 +15,9 @@ pub(in crate::cli) struct RenderArgs {
     /// The model file.
     pub(super) model: PathBuf,
     /// The light: a `.hdr` or `.exr` file, the name of a built-in map, `recovered`, or `recovered:GROUP` for a light group of the capture.
-    #[arg(long, visible_alias = "environment", default_value = "recovered")]
-    pub(super) env: String,
+    /// Default: `recovered`; with `--light-matrix` none.
+    #[arg(long, visible_alias = "environment")]
+    pub(super) env: Option<String>,
     /// Rotation of the light about +Z, degrees counter-clockwise.
     #[arg(long, visible_alias = "environment-rotation", default_value_t = 0.0, allow_negative_numbers = true, value_parser = finite)]
     pub(super) rotation: f64,
@@ -36,7 +38,11 @@ pub(in crate::cli) struct RenderArgs {
     /// Tone curve for display colours: `srgb`, `neutral`, `agx` or, in a 16-bit PNG, `linear`.
     #[arg(long, default_value = "srgb", value_parser = named::<ToneCurve>)]
     pub(super) tone_curve: ToneCurve,
-    /// Precision of the colours in an EXR: `float` (the default) or `half`.
+    /// Render one frame for each of this number of lobes of light (1 to 512) into one multi-part EXR, for relighting in a compositor. With
+    /// `--env` also one frame for each strong small light of that map. `relume weights` prints the weights of a map.
+    #[arg(long, value_name = "LOBES", value_parser = clap::value_parser!(u32).range(1..=MAX_LOBES as i64))]
+    pub(super) light_matrix: Option<u32>,
+    /// Precision of the colours in an EXR: `float` (the default) or `half` (the default of a light matrix).
     #[arg(long, value_parser = named::<ColourDepth>)]
     pub(super) colour_depth: Option<ColourDepth>,
     /// Alpha mode of the colours in an EXR: `premultiplied` (the default) or `straight`.

@@ -3,6 +3,7 @@
 mod args;
 mod camera_file;
 mod frame_list;
+mod light_matrix;
 mod numbering;
 mod sequence;
 mod session;
@@ -12,7 +13,10 @@ mod views;
 use std::path::Path;
 
 use crate::cli::error::CommandResult;
+use crate::cli::output;
+use relume_scene::Model;
 use relume_spec::rendering::FrameFormat;
+use relume_train::render::{FrameView, RotatedLight};
 use relume_train::up_of_card;
 
 pub(super) use args::{RenderArgs, finite, up_to};
@@ -25,19 +29,32 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
         return Err("only an .exr can contain several outputs".into());
     }
     let numbering = numbering(args)?;
-    let session = RenderSession::open(args, format)?;
-    let up = up_of_card(&session.model().card)?;
-    let file_cameras = args.cameras.path.as_deref().map(|file| camera_file::read(file, &args.cameras, up));
-    let file_cameras = file_cameras.transpose()?;
-    let views = views::views(&args.cameras, file_cameras, session.model())?;
-    if let Some(warning) = unseen::warning(&views, &session.model().card) {
-        eprintln!("warning: {warning}");
+    if let Some(lobes) = args.light_matrix {
+        return light_matrix::run(args, lobes as usize, format, numbering.as_ref());
     }
+    let session = RenderSession::open(args, format)?;
+    let views = asked_views(args, session.model())?;
     match (numbering, views.as_slice()) {
         (None, [view]) => sequence::single(&session, view, &args.out),
         (None, _) => Err(format!("{}: {}", args.out.display(), Numbering::WANTED).into()),
-        (Some(numbering), views) => sequence::sequence(&session, views, &numbering, &args.sequence),
+        (Some(numbering), views) => {
+            let mut light = RotatedLight::default();
+            sequence::sequence(views, &numbering, &args.sequence, |file, view| {
+                Ok(output::write_named(file, &session.picture(view, &mut light)?)?)
+            })
+        }
     }
+}
+
+/// The views of the frames. Prints a warning for views from directions without photographs.
+fn asked_views(args: &RenderArgs, model: &Model) -> CommandResult<Vec<FrameView>> {
+    let up = up_of_card(&model.card)?;
+    let file_cameras = args.cameras.path.as_deref().map(|file| camera_file::read(file, &args.cameras, up));
+    let views = views::views(&args.cameras, file_cameras.transpose()?, model)?;
+    if let Some(warning) = unseen::warning(&views, &model.card) {
+        eprintln!("warning: {warning}");
+    }
+    Ok(views)
 }
 
 /// The numbering of the files; `None` for a single image.

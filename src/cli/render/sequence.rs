@@ -19,21 +19,21 @@ pub(super) fn single(session: &RenderSession, view: &FrameView, out: &Path) -> C
     Ok(())
 }
 
-/// Writes the frames of `views` in order, or only those with the requested numbers. With `resume`, existing files are not
-/// changed.
+/// Writes the frames of `views` in order, or only those with the requested numbers, each by `write`. With `resume`, existing files are
+/// not changed.
 pub(super) fn sequence(
-    session: &RenderSession,
     views: &[FrameView],
     numbering: &Numbering,
     args: &SequenceArgs,
+    mut write: impl FnMut(&Path, &FrameView) -> CommandResult,
 ) -> CommandResult {
     let frames = asked_for(views, numbering, args.frames.as_ref())?;
     let bar = ProgressBar::new(frames.len() as u64);
     bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} {per_sec:>12} eta {eta:>4}  {msg}")?);
-    let (mut light, mut written) = (RotatedLight::default(), 0);
+    let mut written = 0;
     for (done, (file, view)) in (1_usize..).zip(&frames) {
         if !(args.resume && file.exists()) {
-            output::write_named(file, &session.picture(view, &mut light)?)?;
+            write(file, view)?;
             written += 1;
         }
         // Without a terminal the bar is hidden: about 20 lines are printed instead.

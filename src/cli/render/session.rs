@@ -28,9 +28,10 @@ impl RenderSession {
     /// Reads the model and the light in `args`. Refuses options that files of `format` do not support.
     pub(super) fn open(args: &RenderArgs, format: FrameFormat) -> CommandResult<Self> {
         let quality = args.quality.quality(Tier::default());
+        let env = args.env.as_deref().unwrap_or("recovered");
         let frame_metadata = FrameMetadata {
             model: file_name(&args.model),
-            light: args.env.clone(),
+            light: env.to_owned(),
             rotation_deg: args.rotation,
             exposure_ev: args.exposure,
             quality,
@@ -48,7 +49,7 @@ impl RenderSession {
         let model = Arc::new(input::read_model(&args.model)?);
         let outputs = args.outputs(&model)?;
         encoding.check(&outputs, format)?;
-        let light = illumination(&args.env, &model)?;
+        let light = illumination(env, &model)?;
         let light = light.rotated_and_scaled(0.0, args.exposure.exp2() as f32);
         let renderer = Renderer::on(model, &Device::open(args.device)?)?;
         Ok(Self { renderer, light, quality, outputs, format, encoding })
@@ -75,6 +76,7 @@ impl RenderSession {
     }
 }
 
-fn file_name(path: &Path) -> String {
+/// The name of a file without its folder.
+pub(super) fn file_name(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }

@@ -7,7 +7,7 @@ use tracing::Instrument;
 
 use crate::server::app::AppState;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
-use crate::server::exports::{frames, splats};
+use crate::server::exports::{frames, light_matrix, splats};
 use crate::store::{ClaimedExport, ExportedFile, StoreError};
 use relume_api::ExportId;
 use relume_api::exports::NewExport;
@@ -131,5 +131,6 @@ async fn make(
         NewExport::Frames(spec) => frames::make(app, &export.record, spec, token).await,
         NewExport::Splats(spec) => splats::make(app, &export.record, spec).await,
         NewExport::Mesh(spec) => splats::make_mesh(app, &export.record, spec, token).await,
+        NewExport::LightMatrix(spec) => light_matrix::make(app, &export.record, spec, token).await,
     }
 }

@@ -11,6 +11,7 @@ use crate::server::app::AppState;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
 use crate::server::exports::plan::FramesPlan;
 use crate::server::exports::{splats, video, zip};
+use crate::server::memory::export_bytes;
 use crate::server::{models, renders};
 use crate::store::{ExportRecord, ExportedFile, make_private};
 use crate::worker::{ModelSource, RenderTask};
@@ -66,7 +67,7 @@ pub(super) async fn make(
 }
 
 /// Creates the work folder. Frames of a model that was replaced since are removed from it.
-fn keep_only_frames_of(folder: &Path, sha256: &str) -> std::io::Result<()> {
+pub(super) fn keep_only_frames_of(folder: &Path, sha256: &str) -> std::io::Result<()> {
     let note = folder.join(MODEL_NOTE);
     if std::fs::read_to_string(&note).is_ok_and(|noted| noted == sha256) {
         return Ok(());
@@ -79,7 +80,7 @@ fn keep_only_frames_of(folder: &Path, sha256: &str) -> std::io::Result<()> {
 }
 
 /// File name of the frame with index `index`, from 0.
-fn frame_name(index: usize, format: FrameFormat) -> String {
+pub(super) fn frame_name(index: usize, format: FrameFormat) -> String {
     format!("{:04}.{}", index + 1, format.extension())
 }
 
@@ -96,7 +97,8 @@ async fn views(
     let plan = plan.clone();
     // Not the threads of files: a mesh may occupy them for minutes.
     let views = move |model: Model| plan.views(&model).map_err(ExportError::from);
-    splats::with_model(app, &app.decoders, tenant, source, 0, views).await
+    let bytes_of = |size| export_bytes(size, 0);
+    splats::with_model(app, &app.decoders, tenant, (source, &bytes_of), views).await
 }
 
 /// Renders and encodes one frame when no other request waits for a frame.
@@ -166,7 +168,7 @@ async fn package(
 }
 
 /// Runs blocking work.
-async fn run_blocking(
+pub(super) async fn run_blocking(
     work: impl FnOnce() -> Result<(), ExportError> + Send + 'static,
 ) -> Result<(), ExportError> {
     tokio::task::spawn_blocking(work).await.map_err(std::io::Error::other)?

@@ -7,6 +7,7 @@ mod export_error;
 mod exporter;
 mod frames;
 mod light;
+mod light_matrix;
 mod plan;
 mod queue;
 mod request;

@@ -1,5 +1,7 @@
 //! A validated request for a sequence of frames: cameras, light, quality and encoding.
 
+use serde_json::Value;
+
 use crate::camera_path::path_views;
 use crate::server::app::AppState;
 use crate::server::exports::light::light;
@@ -7,8 +9,8 @@ use crate::server::exports::video;
 use crate::server::problem::Problem;
 use crate::server::render_request::{check_finish, check_outputs, check_sides, quality};
 use crate::worker::LightSource;
-use relume_api::TenantId;
 use relume_api::exports::{FramesExport, Package, TurntableSpec};
+use relume_api::{NerfstudioWorld, TenantId};
 use relume_capture::Up;
 use relume_scene::Model;
 use relume_spec::rendering::{Background, FrameFormat, Quality, ToneCurve, is_colour};
@@ -17,7 +19,7 @@ use relume_train::render::{EncodeOptions, FrameMetadata, FrameView, Turntable, r
 /// Maximum number of frames of an export.
 const MOST_FRAMES: usize = 10_000;
 /// Size of frames without a given size, pixels.
-const SIZE: (u32, u32) = (512, 512);
+pub(super) const SIZE: (u32, u32) = (512, 512);
 /// Maximum frames per second of a video.
 const MOST_FPS: u32 = 240;
 
@@ -120,17 +122,26 @@ impl Cameras {
     }
 }
 
-fn cameras(spec: &FramesExport, up: Up) -> Result<Cameras, Problem> {
-    let size = match (spec.width, spec.height) {
+/// The size in a request, if it is given.
+///
+/// # Errors
+/// 422, which names the field.
+pub(super) fn size_of(width: Option<u32>, height: Option<u32>) -> Result<Option<(u32, u32)>, Problem> {
+    let size = match (width, height) {
         (None, None) => None,
         (Some(width), Some(height)) => Some((width, height)),
         (None, Some(_)) => return Err(Problem::invalid_field("/width", "is required with height")),
         (Some(_), None) => return Err(Problem::invalid_field("/height", "is required with width")),
     };
     size.map_or(Ok(()), check_sides)?;
+    Ok(size)
+}
+
+fn cameras(spec: &FramesExport, up: Up) -> Result<Cameras, Problem> {
+    let size = size_of(spec.width, spec.height)?;
     match (&spec.turntable, &spec.path) {
         (Some(table), None) => turntable(table, size.unwrap_or(SIZE)).map(Cameras::Turntable),
-        (None, Some(_)) => path(spec, size, up).map(Cameras::Path),
+        (None, Some(json)) => path((json, spec.path_world.as_ref()), size, up).map(Cameras::Path),
         (Some(_), Some(_)) => Err(Problem::invalid_field("/path", "must not be combined with turntable")),
         (None, None) => Err(Problem::invalid_field("/turntable", "either turntable or path is required")),
     }
@@ -154,13 +165,20 @@ fn turntable(spec: &TurntableSpec, size: (u32, u32)) -> Result<Turntable, Proble
     Ok(Turntable { frames, azimuth_deg, elevation_deg, camera_turn_deg, size })
 }
 
-fn path(spec: &FramesExport, size: Option<(u32, u32)>, up: Up) -> Result<Vec<FrameView>, Problem> {
+/// The views of a camera path, scaled to `size` if it is given.
+///
+/// # Errors
+/// 422, which names the field of `path` or `path_world`.
+pub(super) fn path(
+    (json, world): (&Value, Option<&NerfstudioWorld>),
+    size: Option<(u32, u32)>,
+    up: Up,
+) -> Result<Vec<FrameView>, Problem> {
     let refused = |pointer: String, why: String| Problem::invalid_field(format!("/path{pointer}"), why);
-    if let Some(world) = &spec.path_world {
+    if let Some(world) = world {
         world.check().map_err(|why| Problem::invalid_field("/path_world", why))?;
     }
-    let json = spec.path.as_ref().unwrap_or(&serde_json::Value::Null);
-    let views = path_views(json, size.unwrap_or(SIZE), spec.path_world.as_ref(), up);
+    let views = path_views(json, size.unwrap_or(SIZE), world, up);
     let views = views.map_err(|error| refused(error.pointer, error.detail))?;
     if !(1..=MOST_FRAMES).contains(&views.len()) {
         let why = format!("must have 1 to {MOST_FRAMES} cameras, got {}", views.len());

@@ -4,6 +4,7 @@ use serde_json::Value;
 
 use crate::server::app::AppState;
 use crate::server::exports::light::light;
+use crate::server::exports::light_matrix::MatrixPlan;
 use crate::server::exports::plan::FramesPlan;
 use crate::server::extract;
 use crate::server::problem::Problem;
@@ -21,7 +22,10 @@ pub(super) fn read(body: Value) -> Result<NewExport, Problem> {
         Some("frames") => extract::read(body).map(Box::new).map(NewExport::Frames),
         Some("gltf" | "usd" | "usdz" | "ply") => extract::read(body).map(NewExport::Splats),
         Some("mesh") => extract::read(body).map(NewExport::Mesh),
-        _ => Err(Problem::invalid_field("/kind", "must be frames, gltf, usd, usdz, ply or mesh")),
+        Some("light_matrix") => extract::read(body).map(Box::new).map(NewExport::LightMatrix),
+        _ => {
+            Err(Problem::invalid_field("/kind", "must be frames, gltf, usd, usdz, ply, mesh or light_matrix"))
+        }
     }
 }
 
@@ -53,6 +57,10 @@ pub(super) async fn check(app: &AppState, tenant: &TenantId, export: &NewExport)
             Err(Problem::invalid_field("/cells", "must be 16 to 512"))
         }
         NewExport::Mesh(_) => Ok(1),
+        NewExport::LightMatrix(matrix) => {
+            let plan = MatrixPlan::of(app, tenant, matrix, Up::AUTO).await?;
+            Ok(i64::try_from(plan.cameras()).unwrap_or(i64::MAX))
+        }
     }
 }
 

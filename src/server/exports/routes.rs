@@ -40,8 +40,8 @@ pub(in crate::server) fn routes() -> OpenApiRouter<AppState> {
 /// Queue an export
 ///
 /// `kind` selects the result: `frames` (a zip of images, or an mp4 made with ffmpeg), `gltf`, `usd`, `usdz`,
-/// `ply`, or `mesh` (a `.glb` with a textured triangle mesh). Options and output bytes are the same as those
-/// of `relume render` and `relume export`.
+/// `ply`, `mesh` (a `.glb` with a textured triangle mesh), or `light_matrix` (a multi-part EXR with a frame for
+/// each lobe of light). Options and output bytes are the same as those of `relume render` and `relume export`.
 ///
 /// The server renders the frames of an export one at a time while no other request waits for a frame. After a
 /// restart it continues with the completed frames. The header `Idempotency-Key` has the same meaning as for

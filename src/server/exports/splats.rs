@@ -36,13 +36,15 @@ pub(super) async fn make(
     let (file, extension, content_type) = file_of(export.kind);
     let (degree, flatten) = (spec.relit_degree as usize, spec.flatten);
     let (source, _) = models::source(app, &export.tenant, &export.model_id).await?;
-    let bytes = with_model(app, &app.exports.file_threads, &export.tenant, &source, 0, move |mut model| {
-        if let Some(light) = light {
-            model = relight(model, &light, &environment, degree)?;
-        }
-        encode_splat_file(&model, file, shown, flatten).map_err(refused)
-    })
-    .await?;
+    let bytes_of = |size| export_bytes(size, 0);
+    let bytes =
+        with_model(app, &app.exports.file_threads, &export.tenant, (&source, &bytes_of), move |mut model| {
+            if let Some(light) = light {
+                model = relight(model, &light, &environment, degree)?;
+            }
+            encode_splat_file(&model, file, shown, flatten).map_err(refused)
+        })
+        .await?;
     let layer = shown.map_or_else(String::new, |shown| format!("-{}", layer_name(shown)));
     let name = format!("{}{layer}.{extension}", export.model_id);
     write(app, export, name, content_type, bytes).await
@@ -57,22 +59,23 @@ pub(super) async fn make_mesh(
 ) -> Result<ExportedFile, ExportError> {
     let (cells, token) = (spec.cells as usize, token.clone());
     let (source, _) = models::source(app, &export.tenant, &export.model_id).await?;
-    let bytes = with_model(app, &app.exports.file_threads, &export.tenant, &source, cells, move |model| {
-        encode_mesh_file(model, cells, &|| !token.is_cancelled()).map_err(refused)
-    })
-    .await?;
+    let bytes_of = |size| export_bytes(size, cells);
+    let bytes =
+        with_model(app, &app.exports.file_threads, &export.tenant, (&source, &bytes_of), move |model| {
+            encode_mesh_file(model, cells, &|| !token.is_cancelled()).map_err(refused)
+        })
+        .await?;
     let (_, extension, content_type) = file_of(export.kind);
     write(app, export, format!("{}-mesh.{extension}", export.model_id), content_type, bytes).await
 }
 
-/// Reads a model and runs `work` on `threads`, with a permit for the memory. `cells` is the resolution of a mesh, 0 for
-/// other files. The work continues even if the future is dropped, until it asks whether it is wanted.
+/// Reads a model and runs `work` on `threads`, with a permit for the memory, which is a function of the size of the model's file. The
+/// work continues even if the future is dropped, until it asks whether it is wanted.
 pub(super) async fn with_model<T: Send + 'static>(
     app: &AppState,
     threads: &Decoders,
     tenant: &TenantId,
-    source: &ModelSource,
-    cells: usize,
+    (source, bytes_of): (&ModelSource, &(dyn Fn(u64) -> u64 + Sync)),
     work: impl FnOnce(Model) -> Result<T, ExportError> + Send + 'static,
 ) -> Result<T, ExportError> {
     let ModelContent::File(path) = source.content.clone() else {
@@ -81,7 +84,7 @@ pub(super) async fn with_model<T: Send + 'static>(
     let size = tokio::fs::metadata(&path).await?.len();
     let busy_retry = BusyRetry::new();
     let memory = loop {
-        match app.memory.reserve(export_bytes(size, cells)).await {
+        match app.memory.reserve(bytes_of(size)).await {
             Ok(memory) => break memory,
             Err(refusal) => busy_retry.wait(refusal).await?,
         }
@@ -117,7 +120,7 @@ fn refused(error: SplatFileError) -> ExportError {
 /// The encoder of a kind, its extension and its media type.
 fn file_of(kind: ExportKind) -> (SplatFile, &'static str, &'static str) {
     match kind {
-        ExportKind::Gltf | ExportKind::Mesh | ExportKind::Frames => {
+        ExportKind::Gltf | ExportKind::Mesh | ExportKind::Frames | ExportKind::LightMatrix => {
             (SplatFile::Glb, "glb", "model/gltf-binary")
         }
         ExportKind::Usd => (SplatFile::Usda, "usda", "model/vnd.usda"),

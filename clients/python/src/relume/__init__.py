@@ -9,6 +9,7 @@
 (512, 512, 3)
 """
 
+from relume import light_matrix
 from relume.cameras import Camera, look_at, matrix, orbit
 from relume.client import Client
 from relume.errors import ExportFailed, JobFailed, RelumeError, Unreachable
@@ -31,6 +32,7 @@ __all__ = [
     "RelumeError",
     "Server",
     "Unreachable",
+    "light_matrix",
     "look_at",
     "matrix",
     "orbit",

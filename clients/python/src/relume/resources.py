@@ -21,7 +21,7 @@ from relume.http import Connection
 Preset = Literal["draft", "standard", "high"]
 Tier = Literal["preview", "standard", "high", "monte_carlo"]
 _ENDED = ("succeeded", "rejected", "failed", "cancelled")
-ExportKind = Literal["frames", "gltf", "usd", "usdz", "ply", "mesh"]
+ExportKind = Literal["frames", "gltf", "usd", "usdz", "ply", "mesh", "light_matrix"]
 
 
 class Resource:
@@ -311,7 +311,7 @@ class Model(Resource):
     ) -> Export:
         """Has the server make a file of the model; once, also when the answer is lost on the way.
 
-        `options` are those of the kind (openapi.json: FramesExport, SplatsExport, MeshExport), e.g.
+        `options` are those of the kind (openapi.json: FramesExport, SplatsExport, MeshExport, LightMatrixExport), e.g.
         `model.export("frames", "sunset", turntable={"frames": 120}, package="mp4")` or `model.export("ply", layer="albedo")`.
         """
         wanted: dict[str, Any] = {"kind": kind, **options}

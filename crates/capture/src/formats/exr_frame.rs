@@ -72,7 +72,8 @@ pub struct ExrLens {
     pub pixel_aspect: f32,
 }
 
-const HALF_MAX: f32 = 65_504.0;
+/// Largest half float.
+pub(super) const HALF_MAX: f32 = 65_504.0;
 
 /// The bytes of a ZIP-compressed multi-part file. A part without layers is left out. Besides the file, memory is
 /// taken for a few lines at a time.
@@ -198,7 +199,7 @@ fn part<'a>(
     let header = Header::new(text(name)?, size(frame), descriptions)
         .with_encoding(Compression::ZIP16, BlockDescription::ScanLines, LineOrder::Increasing)
         .with_shared_attributes(shared_attributes(frame))
-        .with_attributes(attributes(frame, name, interop)?);
+        .with_attributes(part_attributes(frame.attributes, name, interop)?);
     Ok(ExrPart { header, channels })
 }
 
@@ -212,19 +213,23 @@ fn shared_attributes(frame: &FrameLayers<'_>) -> ImageAttributes {
     shared
 }
 
-fn attributes(frame: &FrameLayers<'_>, name: &str, interop: &str) -> Result<LayerAttributes, ImageFileError> {
+/// The attributes of the part `name` whose colour space is `interop`.
+pub(super) fn part_attributes(
+    of: &FrameAttributes,
+    name: &str,
+    interop: &str,
+) -> Result<LayerAttributes, ImageFileError> {
     let mut attributes = LayerAttributes::named(text(name)?);
     attributes.other.insert(text("colorInteropID")?, AttributeValue::Text(text(interop)?));
-    for (name, value) in &frame.attributes.texts {
+    for (name, value) in &of.texts {
         attributes.other.insert(text(name)?, AttributeValue::Text(text(value)?));
     }
-    if let Some(lens) = &frame.attributes.lens {
+    if let Some(lens) = &of.lens {
         attributes.world_to_camera = Some(lens.world_to_camera);
         attributes.screen_window_width = lens.window_width;
         attributes.screen_window_center = Vec2(lens.window_centre[0], lens.window_centre[1]);
     }
-    attributes.frames_per_second =
-        frame.attributes.frames_per_second.and_then(|fps| Some((i32::try_from(fps).ok()?, 1)));
+    attributes.frames_per_second = of.frames_per_second.and_then(|fps| Some((i32::try_from(fps).ok()?, 1)));
     attributes.software_name = Some(text(concat!("relume ", env!("CARGO_PKG_VERSION")))?);
     Ok(attributes)
 }
@@ -233,7 +238,8 @@ fn channel_name(layer: &str, suffix: char) -> String {
     if layer.is_empty() { suffix.to_string() } else { format!("{layer}.{suffix}") }
 }
 
-fn text(s: &str) -> Result<Text, ImageFileError> {
+/// `s` as a text of a file.
+pub(super) fn text(s: &str) -> Result<Text, ImageFileError> {
     Text::new_or_none(s).ok_or_else(|| ImageFileError::Encode(format!("{s:?} cannot be an EXR name")))
 }
 

@@ -1,16 +1,17 @@
 //! Order of the attributes in the headers of an OpenEXR file.
 
 /// Sorts the attributes of each header by name. The `exr` crate writes them in the order of a hash map, which differs
-/// from run to run. Only attributes move, within their header. Bytes that are not an OpenEXR file stay unchanged.
-pub(super) fn sort_attributes(file: &mut [u8]) {
+/// from run to run. Only attributes move, within their header. Bytes that are not an OpenEXR file stay unchanged. Returns the position
+/// after the last complete header, and after the end of the list of headers if that is there.
+pub(super) fn sort_attributes(file: &mut [u8]) -> usize {
     /// Magic number and version.
     const START: usize = 8;
     /// Bit of the version for several parts, each with a header.
     const MULTI_PART: u8 = 0x10;
-    let Some(&flags) = file.get(5) else { return };
+    let Some(&flags) = file.get(5) else { return 0 };
     let mut at = START;
     loop {
-        let Some(attributes) = attributes(file, at) else { return };
+        let Some(attributes) = attributes(file, at) else { return at };
         let end = attributes.last().map_or(at, |last| last.1);
         let mut sorted: Vec<&[u8]> = attributes.iter().map(|&(start, end)| &file[start..end]).collect();
         sorted.sort_unstable();
@@ -18,8 +19,11 @@ pub(super) fn sort_attributes(file: &mut [u8]) {
         file[at..end].copy_from_slice(&sorted);
         // A header ends with an empty name, and the list of headers with another.
         at = end + 1;
-        if flags & MULTI_PART == 0 || file.get(at).is_none_or(|byte| *byte == 0) {
-            return;
+        match file.get(at) {
+            _ if flags & MULTI_PART == 0 => return at,
+            Some(0) => return at + 1,
+            Some(_) => {}
+            None => return at,
         }
     }
 }
@@ -65,10 +69,10 @@ mod tests {
     #[test]
     fn attributes_are_sorted_within_their_header() {
         let mut two = file(0x10, &[&["b", "a", "c"], &["z", "y"]]);
-        sort_attributes(&mut two);
+        assert_eq!(sort_attributes(&mut two), two.len() - b"pixels".len());
         assert_eq!(two, file(0x10, &[&["a", "b", "c"], &["y", "z"]]));
         let mut one = file(0, &[&["b", "a"]]);
-        sort_attributes(&mut one);
+        assert_eq!(sort_attributes(&mut one), one.len() - b"\0pixels".len());
         assert_eq!(one, file(0, &[&["a", "b"]]));
     }
 

@@ -9,6 +9,7 @@ mod exr_channels;
 pub mod exr_frame;
 mod exr_header;
 pub mod exr_image;
+pub mod exr_matrix;
 mod exr_window;
 mod foreign;
 pub mod gltf;

@@ -136,6 +136,29 @@ fn head_on(s: &Surface, c: usize) -> f32 {
     DIELECTRIC_F0 * (1.0 - s.metal) + s.albedo[c] * s.metal
 }
 
+/// Light that one dominant light, of which the share `arriving` arrives, adds at a surface with unit `normal` turned to the
+/// camera. `None` where it adds nothing.
+#[inline]
+pub(super) fn direct_of(
+    s: &Surface,
+    (normal, nov): ([f32; 3], f32),
+    light: &TableLight,
+    arriving: f32,
+) -> Option<Direct> {
+    let nol = dot3(normal, light.direction);
+    if !(nol > 0.0 && arriving > 0.0) {
+        return None;
+    }
+    let highlight = Highlight::new(s, normal, nov, nol, light);
+    let mut out = Direct::default();
+    for c in 0..3 {
+        let irradiance = arriving * light.irradiance[c];
+        out.irradiance[c] = irradiance * nol;
+        out.specular[c] = irradiance * highlight.lobe() * highlight.reflectance(head_on(s, c));
+    }
+    Some(out)
+}
+
 impl SurfaceShader<'_> {
     /// Light that the dominant lights add at a surface with unit `normal` turned to the camera; `None` without lights.
     pub(super) fn direct(&self, s: &Surface, normal: [f32; 3], nov: f32) -> Option<Direct> {
@@ -144,15 +167,10 @@ impl SurfaceShader<'_> {
         }
         let mut out = Direct::default();
         for (light, arriving) in self.tables.lights.iter().zip(s.arriving) {
-            let nol = dot3(normal, light.direction);
-            if !(nol > 0.0 && arriving > 0.0) {
-                continue;
-            }
-            let highlight = Highlight::new(s, normal, nov, nol, light);
+            let Some(one) = direct_of(s, (normal, nov), light, arriving) else { continue };
             for c in 0..3 {
-                let irradiance = arriving * light.irradiance[c];
-                out.irradiance[c] += irradiance * nol;
-                out.specular[c] += irradiance * highlight.lobe() * highlight.reflectance(head_on(s, c));
+                out.irradiance[c] += one.irradiance[c];
+                out.specular[c] += one.specular[c];
             }
         }
         Some(out)

@@ -21,14 +21,15 @@ pub struct Transport {
     links: Vec<Link>,
 }
 
+/// A direction in which a Gaussian is blocked.
 #[derive(Debug, Clone, Copy)]
-struct Link {
+pub(super) struct Link {
     /// The blocking Gaussian.
-    from: u32,
+    pub(super) from: u32,
     /// `(1 - V) (n . w)+ 4 pi / D`: the factor of its radiance in the irradiance.
-    irradiance: f32,
+    pub(super) irradiance: f32,
     /// `(1 - V)`, for the mean radiance over blocked directions of the upper hemisphere.
-    share: f32,
+    pub(super) share: f32,
 }
 
 impl Transport {
@@ -71,14 +72,7 @@ impl Transport {
         bounces: usize,
     ) -> Vec<[f32; 6]> {
         let n = self.normals.len();
-        let diffuse: Vec<Vec3> = (0..n)
-            .into_par_iter()
-            .with_min_len(256)
-            .map(|i| {
-                let rest = 1.0 - sigmoid(source.gaussians.row(Field::MetalLogit, i)[0]);
-                source.albedo(i).map(|a| a.clamp(0.0, 1.0) * rest * std::f32::consts::FRAC_1_PI)
-            })
-            .collect();
+        let diffuse = diffuse_reflectances(source);
         let from_sky = |i: usize| sky_irradiance(source, tables, self.normals[i], i);
         let direct: Vec<Vec3> = (0..n).into_par_iter().with_min_len(256).map(from_sky).collect();
         let mut gathered = vec![[0.0f32; 6]; n];
@@ -92,10 +86,20 @@ impl Transport {
         gathered
     }
 
+    /// Outward normal of each Gaussian.
+    pub(super) fn normals(&self) -> &[Vec3] {
+        &self.normals
+    }
+
+    /// The links of Gaussian `i`.
+    pub(super) fn links_of(&self, i: usize) -> &[Link] {
+        &self.links[self.first[i] as usize..self.first[i + 1] as usize]
+    }
+
     fn gather_one(&self, emitted: &[Vec3], i: usize) -> [f32; 6] {
         let mut out = [0.0f32; 6];
         let mut shares = 0.0;
-        for link in &self.links[self.first[i] as usize..self.first[i + 1] as usize] {
+        for link in self.links_of(i) {
             shares += link.share;
             if link.irradiance > 0.0 {
                 let light = emitted[link.from as usize];
@@ -108,6 +112,15 @@ impl Transport {
         }
         out
     }
+}
+
+/// Radiance that each Gaussian reflects diffusely per irradiance: `albedo (1 - m) / pi`.
+pub(super) fn diffuse_reflectances(source: &AttributeSource<'_>) -> Vec<Vec3> {
+    let of = |i: usize| {
+        let rest = 1.0 - sigmoid(source.gaussians.row(Field::MetalLogit, i)[0]);
+        source.albedo(i).map(|a| a.clamp(0.0, 1.0) * rest * std::f32::consts::FRAC_1_PI)
+    };
+    (0..source.gaussians.len()).into_par_iter().with_min_len(256).map(of).collect()
 }
 
 /// Irradiance of Gaussian `i`, with outward unit normal `normal`: the sky through its visibility, plus the arriving shares of

@@ -27,10 +27,10 @@ pub struct HostModel {
 }
 
 /// What a model's surfaces hide from each other.
-struct Occlusion {
-    transport: Transport,
+pub(super) struct Occlusion {
+    pub(super) transport: Transport,
     /// `None` where the model has no shadows of the sky in single directions.
-    sky: Option<SkyShadows>,
+    pub(super) sky: Option<SkyShadows>,
 }
 
 /// A light prepared for a model on the host.
@@ -88,7 +88,7 @@ impl HostModel {
     }
 
     /// What the model's surfaces hide from each other, measured on first use.
-    fn occlusion(&self, source: &AttributeSource<'_>) -> &Occlusion {
+    pub(super) fn occlusion(&self, source: &AttributeSource<'_>) -> &Occlusion {
         self.occlusion.get_or_init(|| {
             let directions = fibonacci_sphere(PROBE_DIRECTIONS);
             let probes = Probes::measure(source, directions, ProbeSettings::of(source.options));
@@ -120,7 +120,7 @@ impl HostModel {
         pixels.filter_map(visible).collect()
     }
 
-    fn source<'a>(
+    pub(super) fn source<'a>(
         &'a self,
         gathered: &'a [[f32; 6]],
         arriving: &'a [[f32; MAX_LIGHTS]],

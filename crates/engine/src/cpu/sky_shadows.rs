@@ -51,6 +51,21 @@ impl SkyShadows {
         Self { normals, directions: probes.directions.clone(), factors }
     }
 
+    /// The measured directions.
+    pub(super) fn directions(&self) -> &[Vec3] {
+        &self.directions
+    }
+
+    /// Irradiance per radiance and factor.
+    pub(super) fn weight(&self) -> f32 {
+        STEP * 4.0 * std::f32::consts::PI / self.directions.len().max(1) as f32
+    }
+
+    /// The factor of each direction of Gaussian `i`, for the radiance of that direction times [`Self::weight`].
+    pub(super) fn factors_of(&self, i: usize) -> &[i16] {
+        &self.factors[i * self.directions.len()..(i + 1) * self.directions.len()]
+    }
+
     /// `gathered` with the difference of irradiance under the light of `tables`. The irradiance through the field and the difference are
     /// together never negative.
     #[must_use]
@@ -60,7 +75,7 @@ impl SkyShadows {
         source: &AttributeSource<'_>,
         tables: &LightTables,
     ) -> Vec<[f32; 6]> {
-        let weight = STEP * 4.0 * std::f32::consts::PI / self.directions.len().max(1) as f32;
+        let weight = self.weight();
         let scaled = |d: &Vec3| radiance(tables, *d).map(|l| weight * l);
         let light: Vec<Vec3> = self.directions.iter().map(scaled).collect();
         let rows = gathered.par_iter_mut().zip(self.factors.par_chunks(light.len().max(1))).enumerate();

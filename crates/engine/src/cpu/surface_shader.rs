@@ -129,7 +129,7 @@ impl SurfaceShader<'_> {
     }
 
     /// Visibility over the specular lobe, squashed and raw.
-    fn visible(&self, s: &Surface, reflection: [f32; 3]) -> (f32, f32) {
+    pub(super) fn visible(&self, s: &Surface, reflection: [f32; 3]) -> (f32, f32) {
         if self.options.visibility == VisibilityForm::Off {
             return (1.0, 1.0);
         }

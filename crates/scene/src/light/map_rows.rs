@@ -13,3 +13,5 @@ pub const MIN_LIGHT_SEARCH_ROWS: usize = 32;
 pub const VIEWER_ROWS: usize = 256;
 /// Maps over which the diffuse transfer is integrated: the clamped cosine has no detail below ten degrees.
 pub const DIFFUSE_ROWS: usize = 32;
+/// Map whose texels the lobes of a light matrix divide: a lobe of 512 has 64 texels.
+pub const LOBE_ROWS: usize = 128;

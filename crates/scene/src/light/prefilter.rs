@@ -15,9 +15,9 @@ use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, 
 use crate::{EnvMap, sh_count, texel_directions};
 
 /// Nodes along a cube edge for normals.
-const DIFFUSE_NODES: usize = 17;
+pub(super) const DIFFUSE_NODES: usize = 17;
 /// Nodes along a cube edge for each specular level.
-const SPECULAR_NODES: [usize; SPECULAR_LEVELS.len()] = [65, 33, 33, 17, 17, 17];
+pub(super) const SPECULAR_NODES: [usize; SPECULAR_LEVELS.len()] = [65, 33, 33, 17, 17, 17];
 /// Lobe samples per node.
 const SAMPLES: u32 = 192;
 
@@ -28,7 +28,7 @@ pub fn rendering_tables(map: &EnvMap, sh_degree: usize) -> LightTables {
     let specular_grids = SPECULAR_NODES.map(CubeGrid::new);
     let specular = std::array::from_fn(|k| {
         let alpha = f64::from(SPECULAR_LEVELS[k]).powi(2);
-        let lobe = pyramid.taps(&lobe_samples(alpha));
+        let lobe = lobe_taps(alpha, &pyramid.sizes());
         specular_grids[k].directions().into_par_iter().map(|r| pyramid.filtered(r, &lobe)).collect()
     });
     LightTables {
@@ -111,18 +111,35 @@ struct Pyramid {
 }
 
 /// A sample of a lobe, read between level `low` of a pyramid and the next coarser one.
-struct Tap {
-    direction: Vec3,
-    weight: f32,
-    low: usize,
-    fraction: f32,
+pub(super) struct Tap {
+    pub(super) direction: Vec3,
+    pub(super) weight: f32,
+    pub(super) low: usize,
+    pub(super) fraction: f32,
+}
+
+/// Samples of the lobe of `alpha` around +Z, with their positions in a pyramid of maps of these sizes.
+pub(super) fn lobe_taps(alpha: f64, sizes: &[(usize, usize)]) -> Vec<Tap> {
+    let texel = 4.0 * PI / (sizes[0].0 * sizes[0].1) as f64;
+    let tap = |s: LobeDirection| {
+        // One level coarser than the sample's footprint, so that neighbouring samples overlap.
+        let level = (0.5 * (s.solid_angle / texel).log2() + 1.0).clamp(0.0, (sizes.len() - 1) as f64);
+        let (low, fraction) = (level as usize, level.fract() as f32);
+        Tap { direction: s.direction.as_vec3(), weight: s.weight as f32, low, fraction }
+    };
+    lobe_samples(alpha).into_iter().map(tap).collect()
+}
+
+/// Whether a map of `rows` rows has a coarser level in a pyramid.
+pub(super) fn has_coarser_level(rows: usize) -> bool {
+    rows > 4
 }
 
 impl Pyramid {
     fn new(map: &EnvMap) -> Self {
         let mut levels = vec![map.clone()];
         while let Some(last) = levels.last() {
-            if last.height() <= 4 {
+            if !has_coarser_level(last.height()) {
                 break;
             }
             let next = last.resampled((last.width() / 2).max(1), (last.height() / 2).max(1));
@@ -131,17 +148,9 @@ impl Pyramid {
         Self { levels }
     }
 
-    /// The pyramid position of each sample of `lobe`.
-    fn taps(&self, lobe: &[LobeDirection]) -> Vec<Tap> {
-        let texel = 4.0 * PI / (self.levels[0].width() * self.levels[0].height()) as f64;
-        let tap = |s: &LobeDirection| {
-            // One level coarser than the sample's footprint, so that neighbouring samples overlap.
-            let level =
-                (0.5 * (s.solid_angle / texel).log2() + 1.0).clamp(0.0, (self.levels.len() - 1) as f64);
-            let (low, fraction) = (level as usize, level.fract() as f32);
-            Tap { direction: s.direction.as_vec3(), weight: s.weight as f32, low, fraction }
-        };
-        lobe.iter().map(tap).collect()
+    /// Columns and rows of each level.
+    fn sizes(&self) -> Vec<(usize, usize)> {
+        self.levels.iter().map(|map| (map.width(), map.height())).collect()
     }
 
     /// Mean radiance over the lobe around `r`.
@@ -160,23 +169,41 @@ impl Pyramid {
 }
 
 /// [`direction_to_uv`](crate::direction_to_uv) in single precision, accurate to 1/10,000 of a texel of the largest maps.
-fn to_uv(d: Vec3) -> [f32; 2] {
+pub(super) fn to_uv(d: Vec3) -> [f32; 2] {
     [0.5 - d.y.atan2(d.x) / TAU, d.z.clamp(-1.0, 1.0).acos() / (0.5 * TAU)]
 }
 
+/// The four texels around a point of a map, and its position between them.
+pub(super) struct Cell {
+    /// Upper left, upper right, lower left, lower right.
+    pub(super) texels: [usize; 4],
+    /// From left to right, 0 to 1.
+    pub(super) across: f32,
+    /// From top to bottom, 0 to 1.
+    pub(super) down: f32,
+}
+
+impl Cell {
+    /// Around `u` in [0, 1] and `v` in [0, 1] of a map of `width` x `height` texels.
+    #[inline(always)]
+    pub(super) fn around((width, height): (usize, usize), [u, v]: [f32; 2]) -> Self {
+        let x = u * width as f32 + (width as f32 - 0.5);
+        let y = (v * height as f32 - 0.5).clamp(0.0, (height - 1) as f32);
+        let (left, top) = (x as usize, y as usize);
+        let (across, down) = (x - left as f32, y - top as f32);
+        let around = |x: usize| if x >= width { x - width } else { x };
+        let left = around(left);
+        let (right, bottom) = (around(left + 1), (top + 1).min(height - 1));
+        let at = |x: usize, y: usize| y * width + x;
+        Self { texels: [at(left, top), at(right, top), at(left, bottom), at(right, bottom)], across, down }
+    }
+}
+
 /// [`EnvMap::sample`] in single precision, at `u` in [0, 1] and `v` in [0, 1].
-fn bilinear(map: &EnvMap, [u, v]: [f32; 2]) -> Vec3 {
-    let (width, height) = (map.width(), map.height());
-    let x = u * width as f32 + (width as f32 - 0.5);
-    let y = (v * height as f32 - 0.5).clamp(0.0, (height - 1) as f32);
-    let (left, top) = (x as usize, y as usize);
-    let (fx, fy) = (x - left as f32, y - top as f32);
-    let around = |x: usize| if x >= width { x - width } else { x };
-    let left = around(left);
-    let (right, bottom) = (around(left + 1), (top + 1).min(height - 1));
-    let at = |x: usize, y: usize| Vec3::from(map.texels()[y * width + x]);
-    let upper = at(left, top).lerp(at(right, top), fx);
-    upper.lerp(at(left, bottom).lerp(at(right, bottom), fx), fy)
+fn bilinear(map: &EnvMap, uv: [f32; 2]) -> Vec3 {
+    let Cell { texels, across, down } = Cell::around((map.width(), map.height()), uv);
+    let [upper_left, upper_right, lower_left, lower_right] = texels.map(|t| Vec3::from(map.texels()[t]));
+    upper_left.lerp(upper_right, across).lerp(lower_left.lerp(lower_right, across), down)
 }
 
 #[cfg(test)]

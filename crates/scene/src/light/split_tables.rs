@@ -1,26 +1,46 @@
 //! Light tables for rendering, with dominant lights split off.
 
 use crate::light::{DominantLight, LightTables, SplitEnvironment, TableLight, rendering_tables};
-use crate::{EnvMap, LightSplit, MAX_LIGHTS, SplitLight, texel_directions};
+use crate::{EnvMap, Illumination, LightSplit, MAX_LIGHTS, SplitLight, texel_directions};
 
 /// The tables of `map` for visibility fields of degree `sh_degree`, and at most [`MAX_LIGHTS`] dominant lights. Tables and
 /// lights together have the power of the map.
 pub fn split_tables(map: &EnvMap, sh_degree: usize) -> LightTables {
-    let split = SplitEnvironment::new(map, MAX_LIGHTS);
-    if split.lights.is_empty() {
-        return rendering_tables(map, sh_degree);
-    }
-    let lights = split.lights.iter().map(TableLight::from).collect();
-    LightTables { lights, ..rendering_tables(&split.rest, sh_degree) }
+    let (rest, lights) = found_lights(map);
+    LightTables { lights, ..rendering_tables(rest.as_ref().unwrap_or(map), sh_degree) }
 }
 
 /// The tables of `map` with the given split, which must fit the map's texels.
 pub fn tables_of_split(map: &EnvMap, split: &LightSplit, sh_degree: usize) -> LightTables {
+    let (rest, lights) = known_lights(map, split);
+    LightTables { lights, ..rendering_tables(rest.as_ref().unwrap_or(map), sh_degree) }
+}
+
+/// The dominant lights of `light`, at most [`MAX_LIGHTS`], and the map of the rest: by the split of the light if it has one, otherwise
+/// as they are found in its map.
+pub fn dominant_lights(light: &Illumination) -> (EnvMap, Vec<TableLight>) {
+    let map = &light.environment;
+    let (rest, lights) = match &light.split {
+        Some(split) => known_lights(map, split),
+        None => found_lights(map),
+    };
+    (rest.unwrap_or_else(|| map.clone()), lights)
+}
+
+/// The lights that stand out of `map`, and the rest; `None` for the map itself.
+fn found_lights(map: &EnvMap) -> (Option<EnvMap>, Vec<TableLight>) {
+    let SplitEnvironment { lights, rest } = SplitEnvironment::new(map, MAX_LIGHTS);
+    let lights: Vec<TableLight> = lights.iter().map(TableLight::from).collect();
+    ((!lights.is_empty()).then_some(rest), lights)
+}
+
+/// The lights of `split`, and the rest; `None` for the map itself.
+fn known_lights(map: &EnvMap, split: &LightSplit) -> (Option<EnvMap>, Vec<TableLight>) {
     let texels = map.texels().iter().enumerate();
     let rest = texels.map(|(t, l)| l.map(|v| v * split.rest(t))).collect();
     let Ok((rest, _)) = EnvMap::new(map.width(), map.height(), rest) else {
         // Unreachable: the split only reduces the texels of a checked map.
-        return rendering_tables(map, sh_degree);
+        return (None, Vec::new());
     };
     let mut lights: Vec<TableLight> = split
         .lights
@@ -33,7 +53,7 @@ pub fn tables_of_split(map: &EnvMap, split: &LightSplit, sh_degree: usize) -> Li
             (0..3).for_each(|c| light.irradiance[c] += share * w as f32 * l[c]);
         }
     }
-    LightTables { lights, ..rendering_tables(&rest, sh_degree) }
+    (Some(rest), lights)
 }
 
 impl From<&DominantLight> for SplitLight {
