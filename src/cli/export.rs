@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::cli::args::named;
 use crate::cli::error::CommandResult;
 use crate::cli::light::illumination;
+use crate::cli::material_args::MaterialArgs;
 use crate::cli::render::{finite, up_to};
 use crate::cli::{input, output};
 use relume_scene::Model;
@@ -46,11 +47,13 @@ pub(super) struct ExportArgs {
     /// Rotate each Gaussian so that its shortest axis is its shading normal, for programs that use this axis as the normal.
     #[arg(long)]
     flatten: bool,
+    #[command(flatten)]
+    materials: MaterialArgs,
 }
 
 pub(super) fn run(args: &ExportArgs) -> CommandResult {
     let (kind, shown) = (kind(&args.out)?, args.shown()?);
-    let mut model = input::read_model(&args.model)?;
+    let mut model = args.materials.apply(input::read_model(&args.model)?)?;
     if !model.has_materials() && shown != ExportedColour::Radiance {
         return Err(format!(
             "{}: the model has no materials; only `--layer radiance` is available",
@@ -128,6 +131,7 @@ mod tests {
             exposure: 0.0,
             relit_degree: 3,
             flatten: false,
+            materials: MaterialArgs::default(),
         }
     }
 

@@ -22,6 +22,8 @@ mod keys;
 mod licences;
 mod light;
 mod logs;
+mod material_args;
+mod materials;
 mod output;
 mod progress;
 mod render;
@@ -87,6 +89,8 @@ enum Command {
     Bench(bench::BenchArgs),
     /// Print the contents of a model, and the complexity decisions of its training with their evidence.
     Explain(explain::ExplainArgs),
+    /// List the materials of a model, write their masks, and try changes of them.
+    Materials(materials::MaterialsArgs),
     /// Convert a model into another format.
     Export(export::ExportArgs),
     /// Convert a file of Gaussians (PLY, SPZ or .splat) into a model file.
@@ -139,6 +143,7 @@ fn run(command: Command) -> ExitCode {
         Command::Calibrate(args) => calibrate::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Explain(args) => explain::run(&args),
+        Command::Materials(args) => materials::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Doctor(args) => doctor::run(&args),

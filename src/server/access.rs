@@ -76,6 +76,8 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::GET, "/v1/models/{id}", Needs(Read)),
     (Method::PATCH, "/v1/models/{id}", Needs(Submit)),
     (Method::DELETE, "/v1/models/{id}", Needs(Submit)),
+    (Method::GET, "/v1/models/{id}/materials", Needs(Read)),
+    (Method::GET, "/v1/models/{id}/materials/{material}/mask", Needs(Read)),
     (Method::PUT, "/v1/models/{id}/calibration", Needs(Submit)),
     (Method::DELETE, "/v1/models/{id}/calibration", Needs(Submit)),
     (Method::GET, "/v1/models/{id}/card", Needs(Read)),

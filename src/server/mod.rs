@@ -38,6 +38,7 @@ mod lights;
 mod listing;
 mod local_workers;
 mod machine;
+mod materials;
 mod memory;
 mod metadata;
 mod middleware;

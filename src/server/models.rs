@@ -142,7 +142,7 @@ pub(super) async fn source(
     let file = app.store.verified_model_file(tenant, id, MODEL_FILE).await?;
     let file = file.ok_or_else(|| Problem::not_found("model", id.as_str()))?;
     let path = app.store.artifacts().local_path(&file.artifact);
-    Ok((ModelSource { id: id.clone(), content: ModelContent::File(path) }, file.sha256))
+    Ok((ModelSource::new(id.clone(), ModelContent::File(path)), file.sha256))
 }
 
 fn summary(model: ModelRecord) -> ModelSummary {

@@ -129,7 +129,7 @@ fn task(id: &JobId, preview: &Preview, orbit: Orbit) -> RenderTask {
         false => (Output::Radiance, Tier::Standard),
     };
     RenderTask {
-        model: ModelSource { id: id.as_str().into(), content: ModelContent::Memory(preview.model.clone()) },
+        model: ModelSource::new(id.as_str().into(), ModelContent::Memory(preview.model.clone())),
         light: LightSource::Recovered,
         rotation_deg: 0.0,
         exposure_ev: 0.0,

@@ -4,10 +4,12 @@ use crate::server::problem::Problem;
 use relume_api::renders::RenderRequest;
 use relume_scene::Camera;
 use relume_spec::rendering::{FrameFormat, Output, Quality, Tier, is_colour};
-use relume_train::render::{EncodeOptions, RenderError};
+use relume_train::render::{EncodeOptions, Orbit, RenderError};
 
 /// Maximum side of a frame, pixels.
 const MAX_SIDE: u32 = 4096;
+/// Side of a small picture when the request omits it, pixels.
+const PICTURE_SIDE: u32 = 256;
 /// Maximum number of queries through the Gaussians for a frame of the Monte-Carlo tier: on the CPU engine, where they take some
 /// seconds, and on a GPU.
 const MAX_QUERIES: [u64; 2] = [1 << 21, 1 << 27];
@@ -76,6 +78,25 @@ pub(super) fn check_finish(
         RenderError::Refused { field, reason } => Problem::invalid_field(format!("/{field}"), reason),
         other => Problem::internal(other),
     })
+}
+
+/// The camera of a small square picture around a model, from the parameters of the address. `size` pixels a side.
+pub(super) fn orbit(
+    azimuth_deg: Option<f64>,
+    elevation_deg: Option<f64>,
+    size: Option<u32>,
+) -> Result<Orbit, Problem> {
+    let orbit = Orbit { azimuth_deg, elevation_deg, size: size.unwrap_or(PICTURE_SIDE) };
+    if !(16..=1024).contains(&orbit.size) {
+        return Err(Problem::invalid_field("query/size", "must be 16 to 1024"));
+    }
+    if !orbit.azimuth_deg.is_none_or(f64::is_finite) {
+        return Err(Problem::invalid_field("query/azimuth", "must be finite"));
+    }
+    if !orbit.elevation_deg.is_none_or(|degrees| (-90.0..=90.0).contains(&degrees)) {
+        return Err(Problem::invalid_field("query/elevation", "must be -90 to 90"));
+    }
+    Ok(orbit)
 }
 
 /// The requested camera.

@@ -14,8 +14,8 @@ use crate::server::lights::light;
 use crate::server::memory::frame_bytes;
 use crate::server::problem::Problem;
 use crate::server::render_request::{camera, quality};
-use crate::server::{models, negotiate, photograph_angle, render_request};
-use crate::worker::RenderTask;
+use crate::server::{materials, models, negotiate, photograph_angle, render_request};
+use crate::worker::{MaterialChange, RenderTask};
 use relume_api::ModelId;
 use relume_api::renders::RenderRequest;
 use relume_scene::Camera;
@@ -68,7 +68,9 @@ async fn render(
     let camera = camera(&request)?;
     let (size, on_gpu) = ((request.width, request.height), app.device.has_gpu());
     let quality = quality(request.tier, request.samples, request.seed, size, on_gpu)?;
-    let (model, _) = models::source(&app, &caller.tenant, &id).await?;
+    materials::check(&app, &caller.tenant, &id, &request.materials).await?;
+    let (mut model, _) = models::source(&app, &caller.tenant, &id).await?;
+    model.materials = MaterialChange::Edits(request.materials);
     let light = light(&app, &caller.tenant, &request.environment).await?;
     let task = RenderTask {
         model,

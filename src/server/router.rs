@@ -15,7 +15,7 @@ use crate::server::problem::Problem;
 use crate::server::web;
 use crate::server::{
     calibrations, cameras, captures, deletion, description, environments, events, exports, files, health,
-    jobs, keys, models, photographs, poses, previews, renders, share_page, signed_urls, thumbnails, uploads,
+    jobs, keys, materials, models, photographs, poses, previews, renders, share_page, signed_urls, thumbnails, uploads,
     usage, viewer, webhooks, workers,
 };
 
@@ -31,6 +31,7 @@ fn families() -> OpenApiRouter<AppState> {
         .merge(share_page::routes())
         .merge(models::routes())
         .merge(files::routes())
+        .merge(materials::routes())
         .merge(exports::routes())
         .merge(deletion::routes())
         .merge(uploads::routes())
@@ -46,6 +47,7 @@ fn families() -> OpenApiRouter<AppState> {
         .merge(with_limits(
             thumbnails::routes()
                 .merge(photographs::pictures())
+                .merge(materials::pictures())
                 .merge(previews::routes())
                 .merge(viewer::routes()),
             &THUMBNAILS,

@@ -16,7 +16,7 @@ use crate::server::extract::{QueryString, UrlPath};
 use crate::server::files::{etag, matches_etag};
 use crate::server::lights::named_light;
 use crate::server::problem::Problem;
-use crate::server::{models, photograph_angle, renders};
+use crate::server::{models, photograph_angle, render_request, renders};
 use crate::store::hex;
 use crate::worker::{LightSource, RenderTask};
 use relume_api::{ModelId, TenantId};
@@ -86,7 +86,7 @@ async fn thumbnail(
     method: Method,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let orbit = orbit(&query)?;
+    let orbit = render_request::orbit(query.azimuth, query.elevation, query.size)?;
     let format = format(&query)?;
     let tier = tier(&query)?;
     let (model, model_hash) = models::source(&app, &caller.tenant, &id).await?;
@@ -156,21 +156,6 @@ async fn found_or_rendered(
         }
     }
     Ok(renders::respond(frame, format))
-}
-
-fn orbit(query: &ThumbnailQuery) -> Result<Orbit, Problem> {
-    let orbit =
-        Orbit { azimuth_deg: query.azimuth, elevation_deg: query.elevation, size: query.size.unwrap_or(256) };
-    if !(16..=1024).contains(&orbit.size) {
-        return Err(Problem::invalid_field("query/size", "must be 16 to 1024"));
-    }
-    if !orbit.azimuth_deg.is_none_or(f64::is_finite) {
-        return Err(Problem::invalid_field("query/azimuth", "must be finite"));
-    }
-    if !orbit.elevation_deg.is_none_or(|degrees| (-90.0..=90.0).contains(&degrees)) {
-        return Err(Problem::invalid_field("query/elevation", "must be -90 to 90"));
-    }
-    Ok(orbit)
 }
 
 fn tier(query: &ThumbnailQuery) -> Result<Tier, Problem> {

@@ -27,7 +27,7 @@ pub use local_jobs::LocalJobs;
 pub use opened_device::OpenedDevice;
 pub use previews::Preview;
 pub use renders::{
-    DecodedMaps, LightSource, LightTask, ModelContent, ModelSource, RenderFailure, RenderTask,
+    DecodedMaps, LightSource, LightTask, MaterialChange, ModelContent, ModelSource, RenderFailure, RenderTask,
 };
 pub use start::{TrainingOptions, WorkerOptions, start, start_training};
 pub use thread::JobOutcome;

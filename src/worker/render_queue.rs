@@ -157,7 +157,7 @@ mod tests {
 
     fn task(size: u32, tier: Tier) -> RenderTask {
         RenderTask {
-            model: ModelSource { id: "model".into(), content: ModelContent::File("model".into()) },
+            model: ModelSource::new("model".into(), ModelContent::File("model".into())),
             light: LightSource::Recovered,
             rotation_deg: 0.0,
             exposure_ev: 0.0,
@@ -169,7 +169,7 @@ mod tests {
     }
 
     fn light() -> LightTask {
-        let model = ModelSource { id: "model".into(), content: ModelContent::File("model".into()) };
+        let model = ModelSource::new("model".into(), ModelContent::File("model".into()));
         LightTask { model, light: LightSource::Recovered, rotation_deg: 0.0, with_map: false }
     }
 

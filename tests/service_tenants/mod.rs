@@ -105,6 +105,7 @@ fn ask(client: &Client, method: &str, path: &str, id: &str) -> RequestBuilder {
         .replace("{id}/deliveries/{delivery}", id)
         .replace("{id}", id)
         .replace("photographs/{name}", "photographs/train%2Fr_0.png")
+        .replace("{material}", "0")
         .replace("{name}", "model.safetensors");
     let method = Method::from_bytes(method.to_uppercase().as_bytes()).unwrap();
     let mut request = client.request(method.clone(), &filled).unwrap();

@@ -79,6 +79,8 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("get", "/v1/models/{id}", One(Model), Read),
     ("patch", "/v1/models/{id}", One(Model), Submit),
     ("delete", "/v1/models/{id}", One(Model), Submit),
+    ("get", "/v1/models/{id}/materials", One(Model), Read),
+    ("get", "/v1/models/{id}/materials/{material}/mask", One(Model), Read),
     ("put", "/v1/models/{id}/calibration", One(Model), Submit),
     ("delete", "/v1/models/{id}/calibration", One(Model), Submit),
     ("get", "/v1/models/{id}/card", One(Model), Read),

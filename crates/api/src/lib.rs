@@ -9,6 +9,7 @@ mod ids;
 pub mod jobs;
 pub mod keys;
 mod lenient;
+pub mod materials;
 pub mod metadata;
 pub mod models;
 mod nerfstudio_world;

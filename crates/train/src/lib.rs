@@ -19,6 +19,7 @@ mod light_groups;
 mod lights;
 mod materials;
 mod memory;
+pub mod palette;
 pub mod render;
 mod sampling_rate;
 mod schedule;

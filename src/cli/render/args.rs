@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use super::frame_list::FrameList;
 use crate::cli::args::{QualityArgs, named};
+use crate::cli::material_args::MaterialArgs;
 use relume_engine::DeviceChoice;
 use relume_scene::Model;
 use relume_scene::light::MAX_LOBES;
@@ -24,6 +25,8 @@ pub(in crate::cli) struct RenderArgs {
     /// Exposure of the light, and therefore of the image, stops, -20 to 20.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = up_to::<20>)]
     pub(super) exposure: f64,
+    #[command(flatten)]
+    pub(super) materials: MaterialArgs,
     #[command(flatten)]
     pub(super) cameras: CameraArgs,
     #[command(flatten)]

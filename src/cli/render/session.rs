@@ -46,7 +46,7 @@ impl RenderSession {
             primaries: args.primaries,
             frame_metadata,
         };
-        let model = Arc::new(input::read_model(&args.model)?);
+        let model = Arc::new(args.materials.apply(input::read_model(&args.model)?)?);
         let outputs = args.outputs(&model)?;
         encoding.check(&outputs, format)?;
         let light = illumination(env, &model)?;

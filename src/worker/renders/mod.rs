@@ -16,7 +16,8 @@ use relume_api::ModelId;
 use relume_capture::formats::model_file;
 use relume_engine::{Device, DeviceError};
 use relume_scene::{Camera, Model};
-use relume_spec::rendering::{Output, Quality};
+use relume_spec::rendering::{MaterialEdit, Output, Quality};
+use relume_train::palette::{EditError, edited, mask};
 use relume_train::render::{Frame, PreparedLight, RenderError, Renderer, Viewpoint};
 
 /// Why no frame was rendered.
@@ -69,6 +70,54 @@ pub struct ModelSource {
     pub id: ModelId,
     /// Its content.
     pub content: ModelContent,
+    /// Changes of its materials.
+    pub materials: MaterialChange,
+}
+
+/// What a frame shows of the materials of a model.
+#[derive(Debug, Clone, PartialEq)]
+pub enum MaterialChange {
+    /// The model with these changes, or as it is stored if there are none.
+    Edits(Vec<MaterialEdit>),
+    /// A mask of one material ([`mask`]).
+    Mask(u32),
+}
+
+impl MaterialChange {
+    /// Applies the change.
+    ///
+    /// # Errors
+    /// If the model does not have a material.
+    pub fn apply(&self, model: Model) -> Result<Model, EditError> {
+        match self {
+            Self::Edits(edits) if edits.is_empty() => Ok(model),
+            Self::Edits(edits) => edited(&model, edits),
+            Self::Mask(material) => mask(model, *material),
+        }
+    }
+
+    /// Distinguishes changes in the cache.
+    fn key(&self) -> String {
+        match self {
+            Self::Edits(edits) if edits.is_empty() => String::new(),
+            change => format!("{change:?}"),
+        }
+    }
+}
+
+impl ModelSource {
+    /// A model as it is stored.
+    pub fn new(id: ModelId, content: ModelContent) -> Self {
+        Self { id, content, materials: MaterialChange::Edits(Vec::new()) }
+    }
+
+    /// The key in the cache; `None` for a model in memory, which would evict reusable entries.
+    fn key(&self) -> Option<ModelKey> {
+        match &self.content {
+            ModelContent::File(path) => Some((path.clone(), self.materials.key())),
+            ModelContent::Memory(_) => None,
+        }
+    }
 }
 
 /// The content of a model.
@@ -77,7 +126,7 @@ pub enum ModelContent {
     /// A model file on this machine. It stays in the cache after a frame. The path is the cache key: the file at a path never
     /// changes, and a model whose files are replaced has another path.
     File(PathBuf),
-    /// A model in memory, which is not cached.
+    /// A model in memory, which is not cached. Changes of its materials have no effect.
     Memory(Arc<Model>),
 }
 
@@ -139,8 +188,11 @@ impl RenderTask {
     }
 }
 
-/// Model file, light, and the bits of the rotation. The exposure is not included, because the prepared light is linear in it.
-type LightKey = (PathBuf, String, u64);
+/// Model file and the changes of its materials.
+type ModelKey = (PathBuf, String);
+
+/// Model, light, and the bits of the rotation. The exposure is not included, because the prepared light is linear in it.
+type LightKey = (ModelKey, String, u64);
 
 /// An entry of a cache. It is locked while it is made, so that two threads do not make the same entry.
 type Slot<T> = Arc<Mutex<Option<Arc<T>>>>;
@@ -148,7 +200,7 @@ type Slot<T> = Arc<Mutex<Option<Arc<T>>>>;
 /// The most recently used models and lights, shared by the threads. While one thread loads a model or prepares a light, the
 /// others can use finished entries.
 pub(super) struct RenderCache {
-    models: Mutex<LruCache<PathBuf, Slot<Renderer>>>,
+    models: Mutex<LruCache<ModelKey, Slot<Renderer>>>,
     lights: Mutex<LruCache<LightKey, Slot<PreparedLight>>>,
 }
 
@@ -196,11 +248,8 @@ impl RenderCache {
         is_wanted: &dyn Fn() -> bool,
     ) -> Result<Arc<Renderer>, RenderFailure> {
         check_wanted(is_wanted)?;
-        let ModelContent::File(path) = &source.content else {
-            // A model in memory is not cached, because it would evict reusable entries.
-            return load(source, device);
-        };
-        let renderer = get_or_make(&self.models, path, || load(source, device))?;
+        let Some(key) = source.key() else { return load(source, device) };
+        let renderer = get_or_make(&self.models, &key, || load(source, device))?;
         self.drop_lights_of_evicted_models();
         Ok(renderer)
     }
@@ -224,10 +273,8 @@ impl RenderCache {
         is_wanted: &dyn Fn() -> bool,
     ) -> Result<Arc<PreparedLight>, RenderFailure> {
         check_wanted(is_wanted)?;
-        let ModelContent::File(path) = &model.content else {
-            return prepare(renderer, light, rotation_deg);
-        };
-        let key = (path.clone(), light.key(), rotation_deg.to_bits());
+        let Some(model) = model.key() else { return prepare(renderer, light, rotation_deg) };
+        let key = (model, light.key(), rotation_deg.to_bits());
         let light = get_or_make(&self.lights, &key, || prepare(renderer, light, rotation_deg))?;
         check_wanted(is_wanted)?;
         Ok(light)
@@ -322,7 +369,11 @@ fn expose(frame: &mut Frame, stops: f64) {
 fn load(source: &ModelSource, device: &Device) -> Result<Arc<Renderer>, RenderFailure> {
     let _span = tracing::info_span!("load_model", model = %source.id).entered();
     let model = match &source.content {
-        ModelContent::File(path) => Arc::new(read(path, &source.id)?),
+        ModelContent::File(path) => {
+            let model = source.materials.apply(read(path, &source.id)?);
+            let refused = |error: EditError| RenderFailure::Refused { field: "materials", reason: error.to_string() };
+            Arc::new(model.map_err(refused)?)
+        }
         ModelContent::Memory(model) => model.clone(),
     };
     Ok(Arc::new(match Renderer::on(model.clone(), device) {

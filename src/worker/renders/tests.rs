@@ -20,7 +20,7 @@ fn model(folder: &tempfile::TempDir) -> ModelSource {
     let model = Model::new(gaussians, vec![[0.5; 3]], vec![[0.0; 3]; 8], (4, 2));
     let path = folder.path().join("model.safetensors");
     std::fs::write(&path, model_file::encode(&model).unwrap()).unwrap();
-    ModelSource { id: "model".into(), content: ModelContent::File(path) }
+    ModelSource::new("model".into(), ModelContent::File(path))
 }
 
 fn task(model: &ModelSource, tier: Tier, exposure_ev: f64) -> RenderTask {
@@ -190,7 +190,7 @@ fn a_ready_model_renders_while_another_one_loads() {
     let pipe = folder.path().join("pipe");
     let mode = rustix::fs::Mode::from_raw_mode(0o600);
     rustix::fs::mknodat(rustix::fs::CWD, &pipe, rustix::fs::FileType::Fifo, mode, 0).unwrap();
-    let loading = ModelSource { id: "loading".into(), content: ModelContent::File(pipe.clone()) };
+    let loading = ModelSource::new("loading".into(), ModelContent::File(pipe.clone()));
     let cache = Arc::new(RenderCache::new(2, 2));
     let task_of = |model: &ModelSource| task(model, Tier::Preview, 0.0);
     let first = render(&cache, &task_of(&ready)).unwrap();
@@ -215,7 +215,7 @@ fn a_model_that_fails_to_load_is_not_cached() {
     let folder = tempfile::TempDir::new().unwrap();
     let ready = model(&folder);
     let missing =
-        ModelSource { id: "missing".into(), content: ModelContent::File(folder.path().join("none")) };
+        ModelSource::new("missing".into(), ModelContent::File(folder.path().join("none")));
     let cache = RenderCache::new(2, 2);
     render(&cache, &task(&ready, Tier::Preview, 0.0)).unwrap();
     assert!(render(&cache, &task(&missing, Tier::Preview, 0.0)).is_err());
