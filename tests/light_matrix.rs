@@ -70,8 +70,7 @@ fn weighted_sum_of_a_matrix_file_is_the_rendered_frame() {
     succeeds(at, &[&RENDER[..], &frame].concat());
     let frame = parts(&fs::read(at.join("frame.exr")).unwrap()).remove(0).1;
     for depth in ["half", "float"] {
-        let matrix =
-            ["--size", "40", "--light-matrix", "32", "--colour-depth", depth, "--out", "matrix.exr"];
+        let matrix = ["--size", "40", "--light-matrix", "32", "--colour-depth", depth, "--out", "matrix.exr"];
         succeeds(at, &[&RENDER[..], &matrix].concat());
         succeeds(at, &["weights", "sky.hdr", "--like", "matrix.exr", "--out", "weights.json"]);
         let matrix = parts(&fs::read(at.join("matrix.exr")).unwrap());
@@ -111,7 +110,8 @@ fn options_that_a_matrix_does_not_have_are_refused() {
     let folder = with_model();
     let at = folder.path();
     let look = json!({ "look_at": { "eye": [3, 0, 0], "target": [0, 0, 0], "fov_y_deg": 40 } });
-    let turned = json!({ "width": 8, "height": 8, "cameras": [{ "camera": look, "light_rotation_deg": 90 }] });
+    let turned =
+        json!({ "width": 8, "height": 8, "cameras": [{ "camera": look, "light_rotation_deg": 90 }] });
     fs::write(at.join("turned.json"), turned.to_string()).unwrap();
     let matrix = ["render", "m.safetensors", "--size", "8", "--light-matrix", "4"];
     let cases: [(&[&str], &str); 15] = [
@@ -147,10 +147,7 @@ fn options_that_a_matrix_does_not_have_are_refused() {
 fn weights_are_written_for_compositors_and_wrong_files_refused() {
     let folder = with_model();
     let at = folder.path();
-    succeeds(
-        at,
-        &["render", "m.safetensors", "--size", "16", "--light-matrix", "6", "--out", "matrix.exr"],
-    );
+    succeeds(at, &["render", "m.safetensors", "--size", "16", "--light-matrix", "6", "--out", "matrix.exr"]);
     succeeds(
         at,
         &["render", "m.safetensors", "--size", "16", "--env", "studio", "--device", "cpu", "--out", "f.exr"],

@@ -62,7 +62,8 @@ fn write_masks(model: &Model, folder: &std::path::Path, size: u32) -> CommandRes
     for material in 0..u32::try_from(model.prototypes.len())? {
         let renderer = Renderer::new(Arc::new(mask(model.clone(), material)?));
         // A mask needs no light.
-        let light = renderer.prepare_light(Illumination::from(relume_scene::EnvMap::from_fn(2, 1, |_| [1.0; 3])))?;
+        let light =
+            renderer.prepare_light(Illumination::from(relume_scene::EnvMap::from_fn(2, 1, |_| [1.0; 3])))?;
         let frame = renderer.render(&camera, &light, Tier::Standard, &[Output::Albedo])?;
         let picture = encode_frame(&frame, &[Output::Albedo], FrameFormat::Png, &EncodeOptions::default())?;
         let file = folder.join(format!("material_{material}.png"));

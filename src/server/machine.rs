@@ -13,7 +13,10 @@ pub(super) fn memory() -> u64 {
     let machine = Some(system.total_memory()).filter(|bytes| *bytes > 0);
     // The limits of a container cannot be asked for without the memory of the machine.
     let container = machine.and_then(|_| system.cgroup_limits()).map(|limits| limits.total_memory);
-    [container, relume_train::cgroup_limit()].into_iter().flatten().fold(machine.unwrap_or(UNSTATED), u64::min)
+    [container, relume_train::cgroup_limit()]
+        .into_iter()
+        .flatten()
+        .fold(machine.unwrap_or(UNSTATED), u64::min)
 }
 
 #[cfg(test)]

@@ -167,9 +167,7 @@ pub(super) fn check_values(edits: &[MaterialEdit]) -> Result<(), Problem> {
     }
     match edits.iter().enumerate().find_map(|(i, edit)| Some((i, edit.fault()?))) {
         None => Ok(()),
-        Some((i, (field, reason))) => {
-            Err(Problem::invalid_field(format!("/materials/{i}/{field}"), reason))
-        }
+        Some((i, (field, reason))) => Err(Problem::invalid_field(format!("/materials/{i}/{field}"), reason)),
     }
 }
 

@@ -15,8 +15,8 @@ use crate::server::problem::Problem;
 use crate::server::web;
 use crate::server::{
     calibrations, cameras, captures, deletion, description, environments, events, exports, files, health,
-    jobs, keys, materials, models, photographs, poses, previews, renders, share_page, signed_urls, thumbnails, uploads,
-    usage, viewer, webhooks, workers,
+    jobs, keys, materials, models, photographs, poses, previews, renders, share_page, signed_urls,
+    thumbnails, uploads, usage, viewer, webhooks, workers,
 };
 
 fn families() -> OpenApiRouter<AppState> {

@@ -80,7 +80,8 @@ async fn an_invalid_light_matrix_is_refused_with_a_pointer() {
         body.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
         body
     };
-    let turned = json!({ "width": 8, "height": 8, "cameras": [{ "camera": look(3.0), "light_rotation_deg": 90 }] });
+    let turned =
+        json!({ "width": 8, "height": 8, "cameras": [{ "camera": look(3.0), "light_rotation_deg": 90 }] });
     let along = |path: Value, more: Value| {
         let mut body = json!({ "kind": "light_matrix", "path": path });
         body.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
@@ -159,7 +160,8 @@ async fn a_cancelled_light_matrix_stops_and_leaves_nothing() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let model = trained(client).await.model.unwrap();
-    let body = json!({ "kind": "light_matrix", "camera": look(3.0), "width": 700, "height": 700, "lobes": 512 });
+    let body =
+        json!({ "kind": "light_matrix", "camera": look(3.0), "width": 700, "height": 700, "lobes": 512 });
     let export = queued(client, &model, &body).await;
     let work = server.data_dir().join("exports").join(export.id.as_str());
     until_there(&work, "part", 1).await;
@@ -167,6 +169,11 @@ async fn a_cancelled_light_matrix_stops_and_leaves_nothing() {
     client.delete_export(&export.id).await.unwrap();
     assert_eq!(client.export(&export.id).await.unwrap().state, ExportState::Cancelled);
     until_gone(&work).await;
-    let (_, bytes) = made(client, &model, &json!({ "kind": "light_matrix", "camera": look(3.0), "width": 8, "height": 8, "lobes": 1 })).await;
+    let (_, bytes) = made(
+        client,
+        &model,
+        &json!({ "kind": "light_matrix", "camera": look(3.0), "width": 8, "height": 8, "lobes": 1 }),
+    )
+    .await;
     assert!(!bytes.is_empty(), "the thread is free for the next export");
 }

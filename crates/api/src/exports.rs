@@ -12,8 +12,8 @@ use crate::models::FileView;
 use crate::renders::EnvironmentSpec;
 use crate::{ExportId, ModelId, NerfstudioWorld};
 use relume_spec::rendering::{
-    AlphaMode, Background, ColourDepth, ExportedColour, FrameFormat, MAX_BAKED_DEGREE, Output, Primaries,
-    Tier, ToneCurve,
+    AlphaMode, Background, ColourDepth, ExportedColour, FrameFormat, MAX_BAKED_DEGREE, MaterialEdit, Output,
+    Primaries, Tier, ToneCurve,
 };
 
 /// An export to create. `kind` selects one of the four forms.
@@ -43,6 +43,16 @@ impl NewExport {
             },
             Self::Mesh(_) => ExportKind::Mesh,
             Self::LightMatrix(_) => ExportKind::LightMatrix,
+        }
+    }
+
+    /// Changes of materials.
+    pub fn materials(&self) -> &[MaterialEdit] {
+        match self {
+            Self::Frames(frames) => &frames.materials,
+            Self::Splats(splats) => &splats.materials,
+            Self::Mesh(mesh) => &mesh.materials,
+            Self::LightMatrix(matrix) => &matrix.materials,
         }
     }
 }
@@ -184,6 +194,10 @@ pub struct FramesExport {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(minimum = 1, maximum = 100_000)]
     pub frames_per_second: Option<u32>,
+    /// Changes of materials, as in a render request. Omitted: none.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    #[schema(max_items = 1000)]
+    pub materials: Vec<MaterialEdit>,
 }
 
 impl FramesExport {
@@ -266,12 +280,23 @@ pub struct SplatsExport {
     /// as the normal. Omitted: false.
     #[serde(default)]
     pub flatten: bool,
+    /// Changes of materials, as in a render request. Omitted: none.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    #[schema(max_items = 1000)]
+    pub materials: Vec<MaterialEdit>,
 }
 
 impl SplatsExport {
     /// An export of `kind`. All other fields have their defaults.
     pub fn of(kind: SplatsKind) -> Self {
-        Self { kind, layer: None, environment: None, relit_degree: most_degree(), flatten: false }
+        Self {
+            kind,
+            layer: None,
+            environment: None,
+            relit_degree: most_degree(),
+            flatten: false,
+            materials: Vec::new(),
+        }
     }
 }
 
@@ -295,6 +320,10 @@ pub struct MeshExport {
     #[serde(default = "cells")]
     #[schema(minimum = 16, maximum = 512)]
     pub cells: u32,
+    /// Changes of materials, as in a render request. Omitted: none.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    #[schema(max_items = 1000)]
+    pub materials: Vec<MaterialEdit>,
 }
 
 /// Kind of a light matrix export.
@@ -348,6 +377,10 @@ pub struct LightMatrixExport {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(inline)]
     pub colour_depth: Option<ColourDepth>,
+    /// Changes of materials, as in a render request. Omitted: none.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    #[schema(max_items = 1000)]
+    pub materials: Vec<MaterialEdit>,
 }
 
 impl LightMatrixExport {
@@ -363,6 +396,7 @@ impl LightMatrixExport {
             lobes: lobes(),
             environment: None,
             colour_depth: None,
+            materials: Vec::new(),
         }
     }
 }

@@ -48,7 +48,10 @@ pub(super) fn run(args: &LightMatrixArgs) -> CommandResult {
         "matrix / (light + frame)",
     ];
     let mut times = head(&["model"], numbers);
-    let mut errors = head(&["model", "light"], ["lobes", "suns", "even in each lobe", "whole map, lobes alone", "whole map, with suns"]);
+    let mut errors = head(
+        &["model", "light"],
+        ["lobes", "suns", "even in each lobe", "whole map, lobes alone", "whole map, with suns"],
+    );
     for path in &args.models {
         let bench_model = BenchModel::read(path)?;
         let renderer = Renderer::new(bench_model.model.clone());
@@ -164,12 +167,7 @@ impl Bench<'_> {
 
     /// Error of the weighted sum for `light` against the frame under it: root mean square over the covered pixels, relative to that of
     /// the frame.
-    fn error(
-        &self,
-        light: &Illumination,
-        lobes: &LightLobes,
-        suns: Vec<SplitLight>,
-    ) -> CommandResult<f64> {
+    fn error(&self, light: &Illumination, lobes: &LightLobes, suns: Vec<SplitLight>) -> CommandResult<f64> {
         let prepared = self.renderer.prepare_light(light.clone())?;
         let outputs = [Output::Rgb, Output::Alpha];
         let frame = self.renderer.render(&self.camera, &prepared, Tier::Standard, &outputs)?;

@@ -26,7 +26,7 @@ pub(super) fn run(
     numbering: Option<&Numbering>,
 ) -> CommandResult {
     check(args, format)?;
-    let model = Arc::new(input::read_model(&args.model)?);
+    let model = Arc::new(args.materials.apply(input::read_model(&args.model)?)?);
     if !model.has_materials() {
         return Err(
             format!("{}: the model has no materials, so it cannot be relit", args.model.display()).into()

@@ -27,7 +27,8 @@ pub(super) fn tools(weights: &PartWeights) -> String {
              \t\t\t\tImage1 = Input {{ SourceOp = \"Part_{part}\", Source = \"Output\" }},\n\
              \t\t\t\tImage2 = Input {{ SourceOp = \"{before}\", Source = \"Output\" }},\n"
         );
-        for ((channel, letter), weight) in [("Red", 'r'), ("Green", 'g'), ("Blue", 'b')].into_iter().zip(rgb) {
+        for ((channel, letter), weight) in [("Red", 'r'), ("Green", 'g'), ("Blue", 'b')].into_iter().zip(rgb)
+        {
             let sum = if index == 0 { String::new() } else { format!("+{letter}2") };
             let _ = writeln!(
                 out,
@@ -59,7 +60,8 @@ fn loader(out: &mut String, file: &str, part: &str, channels: [&str; 4], row: us
             "\t\t\t\t[\"Clip1.OpenEXRFormat.{channel}Name\"] = Input {{ Value = FuID {{ \"{name}\" }} }},"
         );
     }
-    let _ = write!(out, "\t\t\t}},\n\t\t\tViewInfo = OperatorInfo {{ Pos = {{ 0, {} }} }}\n\t\t}},\n", 33 * row);
+    let _ =
+        write!(out, "\t\t\t}},\n\t\t\tViewInfo = OperatorInfo {{ Pos = {{ 0, {} }} }}\n\t\t}},\n", 33 * row);
 }
 
 /// `path` inside quotes of Lua.

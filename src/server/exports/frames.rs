@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 use crate::server::app::AppState;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
 use crate::server::exports::plan::FramesPlan;
-use crate::server::exports::{splats, video, zip};
+use crate::server::exports::{model, splats, video, zip};
 use crate::server::memory::export_bytes;
 use crate::server::{models, renders};
 use crate::store::{ExportRecord, ExportedFile, make_private};
@@ -35,9 +35,9 @@ pub(super) async fn make(
 ) -> Result<ExportedFile, ExportError> {
     let up = models::world_of(app, &export.tenant, &export.model_id).await?;
     let plan = FramesPlan::of(app, &export.tenant, spec, up).await?;
-    let (model, sha256) = models::source(app, &export.tenant, &export.model_id).await?;
+    let (source, sha256) = model::source(app, export, &spec.materials).await?;
     let plan = Arc::new(plan);
-    let views = views(app, &plan, &export.tenant, &model).await?;
+    let views = views(app, &plan, &export.tenant, &source).await?;
     let folder = app.store.export_folder(&export.id);
     let at = folder.clone();
     run_blocking(move || Ok(keep_only_frames_of(&at, &sha256)?)).await?;
@@ -48,7 +48,7 @@ pub(super) async fn make(
         if let Ok(found) = tokio::fs::metadata(&file).await {
             bytes += found.len();
         } else {
-            let frame = frame(app, &model, &plan, spec, view).await?;
+            let frame = frame(app, &source, &plan, spec, view).await?;
             let size = frame.len() as u64;
             app.store.admit_bytes_of(&export.tenant, size).await?;
             app.store.admit_bytes(size).await?;

@@ -12,7 +12,7 @@ use crate::server::app::AppState;
 use crate::server::exports::export_error::ExportError;
 use crate::server::exports::frames::{frame_name, keep_only_frames_of, run_blocking};
 use crate::server::exports::light::light;
-use crate::server::exports::{plan, splats, zip};
+use crate::server::exports::{model, plan, splats, zip};
 use crate::server::memory::light_matrix_bytes;
 use crate::server::models;
 use crate::server::problem::Problem;
@@ -161,7 +161,7 @@ pub(super) async fn make(
 ) -> Result<ExportedFile, ExportError> {
     let up = models::world_of(app, &export.tenant, &export.model_id).await?;
     let plan = Arc::new(MatrixPlan::of(app, &export.tenant, spec, up).await?);
-    let (source, sha256) = models::source(app, &export.tenant, &export.model_id).await?;
+    let (source, sha256) = model::source(app, export, &spec.materials).await?;
     let folder = app.store.export_folder(&export.id);
     let at = folder.clone();
     let clean = move || {

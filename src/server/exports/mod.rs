@@ -8,6 +8,7 @@ mod exporter;
 mod frames;
 mod light;
 mod light_matrix;
+mod model;
 mod plan;
 mod queue;
 mod request;

@@ -16,9 +16,9 @@ use crate::server::description::File;
 use crate::server::exports::request;
 use crate::server::extract::{LargeJson, QueryString, UrlPath};
 use crate::server::files::{self, FileRequest, Freshness};
-use crate::server::idempotency;
 use crate::server::listing::PageQuery;
 use crate::server::problem::Problem;
+use crate::server::{idempotency, materials};
 use crate::store::{ExportDeletion, ExportRecord, ModelFile, StoreError, Submitted};
 use relume_api::exports::{ExportState, ExportView, NewExport};
 use relume_api::{ExportId, List, ModelId, TenantId};
@@ -76,6 +76,7 @@ async fn create_export(
     }
     let missing = || Problem::not_found("model", model.as_str());
     app.store.model(&caller.tenant, &model).await?.ok_or_else(missing)?;
+    materials::check(&app, &caller.tenant, &model, request.materials()).await?;
     let total = request::check(&app, &caller.tenant, &request).await?;
     app.store.admit_bytes_of(&caller.tenant, 0).await?;
     let id = app.jobs.fresh_id();

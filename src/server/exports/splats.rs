@@ -6,9 +6,8 @@ use crate::server::app::AppState;
 use crate::server::decoders::Decoders;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
 use crate::server::exports::light::light;
-use crate::server::exports::request;
+use crate::server::exports::{model, request};
 use crate::server::memory::export_bytes;
-use crate::server::models;
 use crate::store::{ExportRecord, ExportedFile, make_private};
 use crate::worker::{LightSource, ModelContent, ModelSource};
 use relume_api::TenantId;
@@ -35,7 +34,7 @@ pub(super) async fn make(
     };
     let (file, extension, content_type) = file_of(export.kind);
     let (degree, flatten) = (spec.relit_degree as usize, spec.flatten);
-    let (source, _) = models::source(app, &export.tenant, &export.model_id).await?;
+    let (source, _) = model::source(app, export, &spec.materials).await?;
     let bytes_of = |size| export_bytes(size, 0);
     let bytes =
         with_model(app, &app.exports.file_threads, &export.tenant, (&source, &bytes_of), move |mut model| {
@@ -58,7 +57,7 @@ pub(super) async fn make_mesh(
     token: &CancellationToken,
 ) -> Result<ExportedFile, ExportError> {
     let (cells, token) = (spec.cells as usize, token.clone());
-    let (source, _) = models::source(app, &export.tenant, &export.model_id).await?;
+    let (source, _) = model::source(app, export, &spec.materials).await?;
     let bytes_of = |size| export_bytes(size, cells);
     let bytes =
         with_model(app, &app.exports.file_threads, &export.tenant, (&source, &bytes_of), move |model| {
@@ -89,10 +88,13 @@ pub(super) async fn with_model<T: Send + 'static>(
             Err(refusal) => busy_retry.wait(refusal).await?,
         }
     };
+    let materials = source.materials.clone();
     let made = threads.run(tenant, move || {
         let _held = memory;
         let model = model_file::decode(&std::fs::read(&path)?);
-        work(model.map_err(|error| ExportError::failed(format!("the model cannot be read: {error}")))?)
+        let model =
+            model.map_err(|error| ExportError::failed(format!("the model cannot be read: {error}")))?;
+        work(materials.apply(model).map_err(|error| ExportError::failed(error.to_string()))?)
     });
     made.await?
 }

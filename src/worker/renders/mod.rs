@@ -371,7 +371,8 @@ fn load(source: &ModelSource, device: &Device) -> Result<Arc<Renderer>, RenderFa
     let model = match &source.content {
         ModelContent::File(path) => {
             let model = source.materials.apply(read(path, &source.id)?);
-            let refused = |error: EditError| RenderFailure::Refused { field: "materials", reason: error.to_string() };
+            let refused =
+                |error: EditError| RenderFailure::Refused { field: "materials", reason: error.to_string() };
             Arc::new(model.map_err(refused)?)
         }
         ModelContent::Memory(model) => model.clone(),

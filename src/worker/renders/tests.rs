@@ -214,8 +214,7 @@ fn a_ready_model_renders_while_another_one_loads() {
 fn a_model_that_fails_to_load_is_not_cached() {
     let folder = tempfile::TempDir::new().unwrap();
     let ready = model(&folder);
-    let missing =
-        ModelSource::new("missing".into(), ModelContent::File(folder.path().join("none")));
+    let missing = ModelSource::new("missing".into(), ModelContent::File(folder.path().join("none")));
     let cache = RenderCache::new(2, 2);
     render(&cache, &task(&ready, Tier::Preview, 0.0)).unwrap();
     assert!(render(&cache, &task(&missing, Tier::Preview, 0.0)).is_err());

@@ -89,7 +89,17 @@ impl Requests {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(number + 1);
         let (things, counts) = (Vec::new(), BTreeMap::new());
-        Self { random, number, made: 0, things, unanswered: None, answered: 0, posed: 0, calibrated: 0, counts }
+        Self {
+            random,
+            number,
+            made: 0,
+            things,
+            unanswered: None,
+            answered: 0,
+            posed: 0,
+            calibrated: 0,
+            counts,
+        }
     }
 
     /// Number of resources of each kind that all clients created.

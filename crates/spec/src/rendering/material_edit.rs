@@ -50,7 +50,10 @@ impl MaterialEdit {
             return Some(("scale", "must be 0 to 100"));
         }
         let units = [("roughness", self.roughness), ("metalness", self.metalness)];
-        units.into_iter().find(|(_, value)| outside(*value, &UNIT)).map(|(field, _)| (field, "must be 0 to 1"))
+        units
+            .into_iter()
+            .find(|(_, value)| outside(*value, &UNIT))
+            .map(|(field, _)| (field, "must be 0 to 1"))
     }
 }
 
@@ -136,8 +139,21 @@ mod tests {
             assert_eq!(text.parse(), Ok(edit), "{text}");
         }
         for wrong in [
-            "", "3", "=#224488", "x=#224488", "3=red", "3=transparent", "3*=-1", "3*=NaN", "3*=inf", "3.gloss=1",
-            "3.roughness=1.1", "3.metalness=", "99999999999=#224488", "-1=#224488", "ä=#224488",
+            "",
+            "3",
+            "=#224488",
+            "x=#224488",
+            "3=red",
+            "3=transparent",
+            "3*=-1",
+            "3*=NaN",
+            "3*=inf",
+            "3.gloss=1",
+            "3.roughness=1.1",
+            "3.metalness=",
+            "99999999999=#224488",
+            "-1=#224488",
+            "ä=#224488",
         ] {
             assert!(wrong.parse::<MaterialEdit>().is_err(), "{wrong}");
         }

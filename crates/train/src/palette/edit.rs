@@ -92,13 +92,23 @@ fn apply(model: &Model, changes: &[Option<Change>], i: usize, out: &mut Model) {
     let residual = out.gaussians.row_mut(Field::Residual, i);
     for c in 0..3 {
         let difference: f32 = changed()
-            .map(|(share, change)| share * ((change.factor[c] - 1.0) * gaussian.albedo[c] + change.summand[c]))
+            .map(|(share, change)| {
+                share * ((change.factor[c] - 1.0) * gaussian.albedo[c] + change.summand[c])
+            })
             .sum();
         residual[c] = gaussian.albedo[c] + difference - without_residual[c];
     }
     let values = [
-        (Field::RoughLogit, gaussian.roughness, changed().filter_map(|(s, change)| Some((s, change.roughness?))).collect()),
-        (Field::MetalLogit, gaussian.metalness, changed().filter_map(|(s, change)| Some((s, change.metalness?))).collect()),
+        (
+            Field::RoughLogit,
+            gaussian.roughness,
+            changed().filter_map(|(s, change)| Some((s, change.roughness?))).collect(),
+        ),
+        (
+            Field::MetalLogit,
+            gaussian.metalness,
+            changed().filter_map(|(s, change)| Some((s, change.metalness?))).collect(),
+        ),
     ];
     for (field, value, wanted) in values {
         let wanted: Vec<(f32, f32)> = wanted;
@@ -147,7 +157,8 @@ mod tests {
     #[test]
     fn a_colour_is_the_mean_and_the_others_stay() {
         let (model, wanted) = (model(), [0x22, 0x44, 0x88]);
-        let edit = MaterialEdit { colour: Some(Colour(wanted)), roughness: Some(0.2), ..MaterialEdit::default() };
+        let edit =
+            MaterialEdit { colour: Some(Colour(wanted)), roughness: Some(0.2), ..MaterialEdit::default() };
         let changed = edited(&model, &[edit]).expect("material 0 exists");
         let found = materials(&changed);
         for c in 0..3 {
@@ -155,7 +166,12 @@ mod tests {
         }
         assert!(near(found[0].roughness, 0.2) && near(found[1].roughness, 0.5), "{found:?}");
         let texture = |i: usize| OneGaussian::of(&changed, i).albedo;
-        assert!(near(texture(0)[0] / texture(1)[0], 1.3), "the texture stays: {:?}, {:?}", texture(0), texture(1));
+        assert!(
+            near(texture(0)[0] / texture(1)[0], 1.3),
+            "the texture stays: {:?}, {:?}",
+            texture(0),
+            texture(1)
+        );
         for i in 6..10 {
             assert_eq!(changed.gaussians.row(Field::Residual, i), model.gaussians.row(Field::Residual, i));
         }
@@ -181,6 +197,8 @@ mod tests {
         let edit = MaterialEdit { material: 2, scale: Some(1.0), ..MaterialEdit::default() };
         assert_eq!(edited(&model(), &[edit]), Err(EditError::NoSuchMaterial { material: 2, last: 1 }));
         let mask = mask(model(), 1).expect("material 1 exists");
-        assert!(near(OneGaussian::of(&mask, 0).albedo[0], 0.0) && near(OneGaussian::of(&mask, 9).albedo[2], 1.0));
+        assert!(
+            near(OneGaussian::of(&mask, 0).albedo[0], 0.0) && near(OneGaussian::of(&mask, 9).albedo[2], 1.0)
+        );
     }
 }

@@ -43,7 +43,12 @@ pub fn materials(model: &Model) -> Vec<Material> {
             let share = (sum[0] / whole) as f32;
             Material { albedo: [mean(1), mean(2), mean(3)], share, roughness: mean(4), metalness: mean(5) }
         } else {
-            Material { albedo: prototype.map(|a| a.clamp(0.0, 1.0)), share: 0.0, roughness: 0.5, metalness: 0.0 }
+            Material {
+                albedo: prototype.map(|a| a.clamp(0.0, 1.0)),
+                share: 0.0,
+                roughness: 0.5,
+                metalness: 0.0,
+            }
         }
     };
     sums.iter().zip(&model.prototypes).map(material).collect()
@@ -56,7 +61,11 @@ pub fn materials(model: &Model) -> Vec<Material> {
 pub fn mask(mut model: Model, material: u32) -> Result<Model, EditError> {
     let k = index(&model, material)?;
     model.gaussians.field_mut(Field::Residual).fill(0.0);
-    model.prototypes.iter_mut().enumerate().for_each(|(i, albedo)| *albedo = [f32::from(u8::from(i == k)); 3]);
+    model
+        .prototypes
+        .iter_mut()
+        .enumerate()
+        .for_each(|(i, albedo)| *albedo = [f32::from(u8::from(i == k)); 3]);
     Ok(model)
 }
 
