@@ -229,7 +229,7 @@ fn an_evicted_model_takes_its_lights_with_it() {
     let cache = RenderCache::new(1, 4);
     let cached_models = || {
         let names =
-            lock(&cache.lights).iter().map(|(key, _)| key.0.file_name().unwrap().to_owned()).collect();
+            lock(&cache.lights).iter().map(|(key, _)| key.0.0.file_name().unwrap().to_owned()).collect();
         let names: Vec<std::ffi::OsString> = names;
         names
     };
