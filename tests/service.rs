@@ -12,7 +12,7 @@ use relume_spec::rendering::{Background, ColourDepth, FrameFormat, Output, ToneC
 
 use crate::service_support::{capture_zip, ended, small_job, trained, until};
 
-fn look_at() -> CameraSpec {
+pub fn look_at() -> CameraSpec {
     let look = LookAtSpec { eye: [3.0, 0.0, 1.0], target: [0.0; 3], up: [0.0, 0.0, 1.0], fov_y_deg: 40.0 };
     CameraSpec { look_at: Some(look), ..CameraSpec::default() }
 }

@@ -114,6 +114,22 @@ def test_a_linear_frame_is_the_picture_that_the_server_shows(trained: tuple[relu
     assert np.abs(frame.srgb(exposure_ev=0.5, background=1.0) - shown).max() > 0.02, "the control"
 
 
+def test_materials_are_listed_and_change_pictures(trained: tuple[relume.Capture, relume.Model], tmp_path: Path) -> None:
+    model, camera = trained[1], relume.orbit(30, 20)
+    materials = model.materials()
+    assert [one["material"] for one in materials] == list(range(len(materials)))
+    assert abs(sum(one["share"] for one in materials) - 1.0) < 1e-3
+    black = [{"material": one["material"], "colour": "#000000"} for one in materials]
+    dark = model.render(camera, size=32, outputs=("albedo",), materials=black)["albedo"]
+    plain = model.render(camera, size=32, outputs=("albedo",))["albedo"]
+    assert dark.max() < 0.02 < 0.1 < plain.max(), "the control: the model itself is not black"
+    masks = {model.material_mask(one["material"], size=32) for one in materials}
+    assert all(mask.startswith(b"\x89PNG") for mask in masks) and len(masks) == len(materials)
+    with pytest.raises(relume.RelumeError) as caught:
+        model.export("ply", materials=[{"material": 999, "scale": 2.0}])
+    assert caught.value.errors[0]["pointer"] == "/materials/0/material"
+
+
 def test_a_thumbnail_has_its_size_light_and_direction(trained: tuple[relume.Capture, relume.Model]) -> None:
     model = trained[1]
     first = model.thumbnail("sunset", size=48)

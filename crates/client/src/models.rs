@@ -10,6 +10,7 @@ use crate::connection::{Client, checked, json};
 use crate::download::Download;
 use crate::error::Result;
 use relume_api::calibration::NewCalibration;
+use relume_api::materials::MaterialView;
 use relume_api::metadata::MetadataChange;
 use relume_api::models::{ModelSummary, ModelView};
 use relume_api::renders::RenderRequest;
@@ -47,6 +48,14 @@ impl Client {
     /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn undo_calibration(&self, id: &ModelId) -> Result<ModelView> {
         json(self.request(Method::DELETE, &format!("/v1/models/{id}/calibration"))?).await
+    }
+
+    /// The materials of a model, in the order of their numbers.
+    ///
+    /// # Errors
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
+    pub async fn materials(&self, id: &ModelId) -> Result<List<MaterialView>> {
+        json(self.request(Method::GET, &format!("/v1/models/{id}/materials"))?).await
     }
 
     /// The newest models.

@@ -236,6 +236,21 @@ class Model(Resource):
         """Undoes all calibrations since the training."""
         self.data = self._connection.json("DELETE", self._at("/calibration"))
 
+    def materials(self) -> list[dict[str, Any]]:
+        """The materials: number, mean colour, share of the surface, roughness and metalness of each.
+
+        `materials` of `render`, `picture` and `export` changes them, e.g. `[{"material": 3, "colour": "#224488", "roughness": 0.4}]`.
+        """
+        return list(self._connection.json("GET", self._at("/materials"))["items"])
+
+    def material_mask(
+        self, material: int, *, size: int = 256, azimuth_deg: float | None = None, elevation_deg: float | None = None
+    ) -> bytes:
+        """Where the model has a material, as the bytes of a PNG: white where the surface has only this material. Views as in `thumbnail`."""
+        angles = {"azimuth": azimuth_deg, "elevation": elevation_deg}
+        params: dict[str, Any] = {"size": size, **{name: value for name, value in angles.items() if value is not None}}
+        return self._connection.send("GET", self._at(f"/materials/{material}/mask"), params=params).content
+
     def render(
         self,
         camera: Camera,
@@ -248,10 +263,11 @@ class Model(Resource):
         exposure_ev: float = 0.0,
         samples: int | None = None,
         seed: int | None = None,
+        materials: Sequence[dict[str, Any]] = (),
     ) -> Frame:
-        """A frame as linear arrays, its `alpha` among them. `size` is width and height, or both."""
+        """A frame as linear arrays, its `alpha` among them. `size` is width and height, or both. `materials` are changes of materials."""
         asked = self._request(camera, environment, size, [*dict.fromkeys([*outputs, "alpha"])], tier, rotation_deg, exposure_ev)
-        drawn = {"samples": samples, "seed": seed}
+        drawn = {"samples": samples, "seed": seed, "materials": [*materials] or None}
         asked.update({key: value for key, value in drawn.items() if value is not None})
         answer = self._connection.send("POST", self._at("/render"), json=asked, headers={"Accept": "image/x-exr"})
         return Frame.from_exr(answer.content)
@@ -269,10 +285,11 @@ class Model(Resource):
         background: str = "transparent",
         tone_curve: str = "srgb",
         media_type: Literal["image/png", "image/jpeg"] = "image/png",
+        materials: Sequence[dict[str, Any]] = (),
     ) -> bytes:
-        """A frame as the bytes of a PNG or JPEG, for people to look at."""
+        """A frame as the bytes of a PNG or JPEG, for people to look at. `materials` are changes of materials."""
         asked = self._request(camera, environment, size, [output], tier, rotation_deg, exposure_ev)
-        asked.update({"background": background, "tone_curve": tone_curve})
+        asked.update({"background": background, "tone_curve": tone_curve, "materials": [*materials]})
         return self._connection.send("POST", self._at("/render"), json=asked, headers={"Accept": media_type}).content
 
     def thumbnail(
