@@ -119,9 +119,9 @@ def install_katex(out, content):
     try:
         subprocess.run(["npm", "ci", "--loglevel=error", "--no-audit", "--no-fund", "--ignore-scripts"], cwd=folder, check=True)
     except (OSError, subprocess.CalledProcessError) as error:
-        sys.exit(f"cannot install KaTeX, which typesets the equations: {error}. This needs npm and its package registry")
+        sys.exit(f"cannot install KaTeX, which typesets the equations; npm and its package registry are necessary ({error})")
     package = folder / "node_modules/katex"
-    # The browsers of today read WOFF2; the other formats stay away.
+    # Browsers load WOFF2, the first of the formats; the site omits the others.
     style = re.sub(r',url\(fonts/[^)]+\) format\("(?:woff|truetype)"\)', "", (package / "dist/katex.min.css").read_text())
     (content / "katex/fonts").mkdir(parents=True, exist_ok=True)
     (content / "katex/katex.min.css").write_text(style)

@@ -16,16 +16,20 @@ HERE = pathlib.Path(__file__).resolve().parent
 MARK = 'class="arithmatex"'
 INLINE = re.compile(rf'(<span {MARK}[^>]*>)\\\((.*?)\\\)(</span>)', re.DOTALL)
 DISPLAY = re.compile(rf'(<div {MARK}[^>]*>)\\\[\n(.*?)\n\\\](</div>)', re.DOTALL)
-# Parts of an inline equation that the Markdown of GitHub may take for its own: an escape such as `\,`, emphasis, a tag, a line end; and a macro that it refuses.
-# Display equations are blocks of code to it.
-TAKEN = re.compile(r"\\[^A-Za-z\s]|(?<![A-Za-z0-9])_|[*~`|\n]|<\S|\\operatorname\b")
+# Parts of an inline equation that the Markdown of GitHub may take for its own: an escape such as `\,`, emphasis, a tag, a line end. Display equations are
+# blocks of code to it.
+TAKEN = re.compile(r"\\[^A-Za-z\s]|(?<![A-Za-z0-9])_|[*~`|\n]|<\S")
+# A macro that GitHub refuses.
+REFUSED = re.compile(r"\\operatorname\b")
 
 
 def on_page_content(content, page, **_):
     """Hides equations from the search, which reads the content now."""
-    for _, latex, _ in INLINE.findall(content):
-        if taken := TAKEN.search(html.unescape(latex)):
-            raise PluginError(f"{page.file.src_path}: GitHub may not show ${html.unescape(latex)}$ because of {taken[0]!r}")
+    for kind in (INLINE, DISPLAY):
+        for _, latex, _ in kind.findall(content):
+            latex = html.unescape(latex)
+            if found := REFUSED.search(latex) or (kind is INLINE and TAKEN.search(latex)):
+                raise PluginError(f"{page.file.src_path}: GitHub may not show the equation {latex} because of {found[0]!r}")
     return content.replace(MARK, f"{MARK} data-search-exclude")
 
 
