@@ -1,9 +1,9 @@
 """gallery.py DATA MODELS OUT RELUME: makes the pictures of docs/gallery.md from trained models (Pillow; on two cores about five minutes).
 
 DATA has scenes/NAME with path-traced ground truth and envmaps/LIGHT.hdr. MODELS has NAME.safetensors for each scene, as
-`relume train DATA/scenes/NAME --preset standard --resolution 320 --seed 0 --out MODELS/NAME.safetensors` writes it. OUT receives, for each scene,
-NAME-turntable.webp (the camera turns), NAME-light.webp (the light turns) and NAME-truth.webp (path-traced and relit pictures of one test view under lights that
-the training did not see).
+`relume train DATA/scenes/NAME --preset standard --resolution 320 --seed 0 --out MODELS/NAME.safetensors` writes it, and demo.safetensors, the model of `relume demo`.
+OUT receives, for each scene, NAME-turntable.webp (the camera turns), NAME-light.webp (the light turns) and NAME-truth.webp (path-traced and relit pictures of one
+test view under lights that the training did not see); and materials.webp, the demonstration with changed materials.
 """
 
 import pathlib
@@ -19,6 +19,8 @@ FRAMES, SIZE, MILLISECONDS = 36, 288, 83
 # Number of the test view, from 1, and width and height of its pictures, pixels.
 VIEW, VIEW_SIZE = 4, 256
 QUALITY = 82
+# Changes of materials of the demonstration, and the material whose mask is shown.
+RECOLOUR, MASK = "2=#2244cc,2.roughness=0.1,3.metalness=1", 2
 PAPER, INK = (244, 244, 244), (40, 40, 40)
 
 
@@ -61,6 +63,20 @@ def truth(relume, data, scene, model, file):
     sheet.save(file, quality=QUALITY + 6, method=6)
 
 
+def materials(relume, model, file):
+    """The demonstration, the same with changed materials, and the mask of a material."""
+    with tempfile.TemporaryDirectory() as folder:
+        common = ["--env", "sunset", "--size", VIEW_SIZE]
+        render(relume, model, f"{folder}/0.png", *common)
+        render(relume, model, f"{folder}/1.png", *common, "--recolour", RECOLOUR)
+        subprocess.run([relume, "materials", model, "--masks", folder, "--size", str(VIEW_SIZE)], check=True, capture_output=True)
+        pictures = [on_paper(Image.open(f"{folder}/{name}.png")) for name in ("0", "1", f"material_{MASK}")]
+    sheet = Image.new("RGB", (VIEW_SIZE * len(pictures), VIEW_SIZE), PAPER)
+    for column, picture in enumerate(pictures):
+        sheet.paste(picture, (column * VIEW_SIZE, 0))
+    sheet.save(file, quality=QUALITY + 6, method=6)
+
+
 def main():
     data, models, out, relume = (pathlib.Path(argument).resolve() for argument in sys.argv[1:5])
     out.mkdir(parents=True, exist_ok=True)
@@ -69,6 +85,7 @@ def main():
         animation(relume, model, out / f"{scene}-turntable.webp", "--env", turned)
         animation(relume, model, out / f"{scene}-light.webp", "--env", turning, "--camera-turn", 0, "--env-turn", 360)
         truth(relume, data, scene, model, out / f"{scene}-truth.webp")
+    materials(relume, models / "demo.safetensors", out / "materials.webp")
     for path in sorted(out.glob("*.webp")):
         print(f"{path.name}: {path.stat().st_size // 1000} kB")
 
