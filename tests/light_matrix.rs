@@ -6,6 +6,7 @@ use std::path::Path;
 use exr::prelude::{ReadChannels as _, ReadLayers as _};
 use relume_capture::formats::environment;
 use relume_compare::rms_difference;
+use relume_scene::EnvMap;
 use relume_scene::light::LightLobes;
 use serde_json::{Value, json};
 
@@ -61,6 +62,13 @@ fn write_sky(folder: &Path) {
     fs::write(folder.join("sky.hdr"), environment::encode_hdr(&lobes.combined(&weights)).unwrap()).unwrap();
 }
 
+/// A map with a small sun.
+pub fn sunny() -> Vec<u8> {
+    let sun = glam::DVec3::new(0.6, 0.0, 0.8);
+    let texel = |d: glam::DVec3| if d.dot(sun) > 0.999 { [4000.0; 3] } else { [0.5; 3] };
+    environment::encode_hdr(&EnvMap::from_fn(128, 64, texel)).unwrap()
+}
+
 #[test]
 fn weighted_sum_of_a_matrix_file_is_the_rendered_frame() {
     let folder = with_model();
@@ -87,7 +95,8 @@ fn matrices_of_a_sequence_are_those_of_single_cameras() {
     let folder = with_model();
     let at = folder.path();
     let matrix =
-        ["render", "m.safetensors", "--size", "24", "--light-matrix", "8", "--env", "sunset", "--azimuth"];
+        ["render", "m.safetensors", "--size", "24", "--light-matrix", "8", "--env", "sun.hdr", "--azimuth"];
+    fs::write(at.join("sun.hdr"), sunny()).unwrap();
     let said = succeeds(at, &[&matrix[..], &["30", "--out", "one.exr"]].concat());
     assert!(said.contains("lobes: 8, strong small lights: 1"), "{said}");
     let one = fs::read(at.join("one.exr")).unwrap();

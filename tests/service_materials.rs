@@ -20,7 +20,7 @@ async fn albedo(client: &Client, model: &ModelId, materials: Vec<MaterialEdit>) 
     let outputs = vec![Output::Albedo];
     let size = RenderRequest { camera: look_at(), width: 24, height: 16, ..RenderRequest::default() };
     let request = RenderRequest { outputs, materials, ..size };
-    image_file::decode(&client.render(model, &request, FrameFormat::Png).await.unwrap(), 64).unwrap()
+    image_file::decode(&client.render(model, &request, FrameFormat::Png).await.unwrap(), 1024).unwrap()
 }
 
 fn brightest(image: &ImageRgba) -> f32 {
@@ -81,7 +81,7 @@ async fn masks_of_all_materials_cover_the_surface_once() {
     for material in 0..count {
         let (status, png) = mask(format!("{material}/mask?size=32")).await;
         assert_eq!(status, StatusCode::OK);
-        let image = image_file::decode(&png, 64).unwrap();
+        let image = image_file::decode(&png, 1024).unwrap();
         let shares = image.pixels.iter().map(|pixel| relume_scene::srgb::decode(pixel[0]));
         sums.iter_mut().zip(shares).for_each(|(sum, share)| *sum += share);
         covered = image.pixels.iter().map(|pixel| pixel[3] > 0.9).collect();
@@ -114,6 +114,7 @@ async fn invalid_changes_of_materials_are_refused_by_name() {
     let wrong = MaterialEdit { roughness: Some(1.5), ..plain };
     let missing = MaterialEdit { material: 999, ..plain };
     let request = RenderRequest { camera: look_at(), width: 8, height: 8, ..RenderRequest::default() };
+    let request = RenderRequest { outputs: vec![Output::Rgb], ..request };
     for (edits, pointer) in [
         (vec![plain, wrong], "/materials/1/roughness"),
         (vec![missing], "/materials/0/material"),
