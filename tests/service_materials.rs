@@ -92,7 +92,7 @@ async fn masks_of_all_materials_cover_the_surface_once() {
 
     for (path, status) in [
         (format!("{count}/mask"), StatusCode::NOT_FOUND),
-        ("x/mask".to_owned(), StatusCode::UNPROCESSABLE_ENTITY),
+        ("x/mask".to_owned(), StatusCode::BAD_REQUEST),
         ("0/mask?size=8".to_owned(), StatusCode::UNPROCESSABLE_ENTITY),
     ] {
         let (found, body) = mask(path.clone()).await;
