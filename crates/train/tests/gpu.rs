@@ -322,7 +322,7 @@ fn trained_result_matches_the_cpu_engine() {
         ..Default::default()
     };
     let long =
-        TrainOverrides { iterations: Some(300), probe_every: Some(50), rates: Some(rates), ..overrides() };
+        TrainOverrides { iterations: Some(120), probe_every: Some(40), rates: Some(rates), ..overrides() };
     let (mut on_cpu, mut on_gpu) = (trainer(&long, &Device::Cpu), trainer(&long, device));
     let (first, last) = (finish(&mut on_cpu), finish(&mut on_gpu));
     assert_eq!(first.len(), last.len());
