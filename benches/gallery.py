@@ -1,7 +1,7 @@
 """gallery.py DATA MODELS OUT RELUME: makes the pictures of docs/gallery.md from trained models (Pillow; on two cores about five minutes).
 
 DATA has scenes/NAME with path-traced ground truth and envmaps/LIGHT.hdr. MODELS has NAME.safetensors for each scene, as
-`relume train DATA/scenes/NAME --preset draft --resolution 256 --iterations 3000 --set max_gaussians=20000 --seed 0 --out MODELS/NAME.safetensors` writes it, and demo.safetensors, the model of `relume demo`.
+`relume train DATA/scenes/NAME --preset draft --resolution 200 --set max_gaussians=16000 --seed 0 --out MODELS/NAME.safetensors` writes it, and demo.safetensors, the model of `relume demo`.
 OUT receives, for each scene, NAME-turntable.webp (the camera turns), NAME-light.webp (the light turns) and NAME-truth.webp (path-traced and relit pictures of one
 test view under lights that the training did not see); and materials.webp, the demonstration with changed materials.
 """
