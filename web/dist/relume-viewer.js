@@ -1,1 +1,1 @@
-export{t as RelumeViewer}from"./assets/element-CqThg2By.js";
+export{t as RelumeViewer}from"./assets/element-BmAYB6Dw.js";

@@ -2,6 +2,7 @@ import type { RefObject } from 'preact'
 import { useCallback, useEffect, useRef, useState } from 'preact/hooks'
 import { ask, get, send } from './api/client'
 import { explain, type PageError } from './api/page-error'
+import { release } from './object-url'
 
 /** Data from the API: undefined at first, then the data or an error message. */
 export interface Loaded<T> {
@@ -79,7 +80,7 @@ export function usePicture(path: string | undefined): string | undefined {
     return () => stop.abort()
   }, [path])
   useEffect(() => () => {
-    if (shown) URL.revokeObjectURL(shown.url)
+    release(shown?.url)
   }, [shown])
   return shown && shown.path === path ? shown.url : undefined
 }
@@ -98,7 +99,7 @@ export function useWatched(path: string | undefined, every: number): { url?: str
       if (answer.ok) {
         tag = answer.headers.get('etag') ?? ''
         const step = answer.headers.get('relume-step')
-        if (url.current) URL.revokeObjectURL(url.current)
+        release(url.current)
         url.current = URL.createObjectURL(await answer.blob())
         setShown({ url: url.current, ...(step ? { step } : {}) })
       } else if (answer.status !== 304) {
@@ -116,7 +117,7 @@ export function useWatched(path: string | undefined, every: number): { url?: str
     }
   }, [path, every])
   useEffect(() => () => {
-    if (url.current) URL.revokeObjectURL(url.current)
+    release(url.current)
   }, [])
   return shown
 }

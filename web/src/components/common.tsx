@@ -2,6 +2,7 @@ import type { ComponentChildren } from 'preact'
 import { useEffect, useRef, useState } from 'preact/hooks'
 import { explain, GONE, type PageError } from '../api/page-error'
 import { usePicture } from '../hooks'
+import { release } from '../object-url'
 
 /** An image from an API path. */
 export function Picture({ path, alt }: { path: string | undefined; alt: string }) {
@@ -135,5 +136,5 @@ export function save(blob: Blob, name: string): void {
   const url = URL.createObjectURL(blob)
   const anchor = Object.assign(document.createElement('a'), { href: url, download: name })
   anchor.click()
-  setTimeout(() => URL.revokeObjectURL(url), 10_000)
+  release(url)
 }

@@ -5,6 +5,7 @@ import type { Capture } from '../api/types'
 import { nameOf, selection, upload, type Dropped, type Selection } from '../api/upload'
 import { filesIn, filesOf } from '../dropped'
 import { bytes } from '../format'
+import { release } from '../object-url'
 import { photographsOf } from '../photos'
 import { Failure } from './common'
 
@@ -152,7 +153,7 @@ function Photographs({ of: photographs }: { of: Dropped[] }) {
     const readable = photographs.filter(({ path }, i) => i % every === 0 && !/\.(exr|tiff?)$/i.test(path))
     const made = readable.map(({ path, file }) => ({ path, url: URL.createObjectURL(file) }))
     setUrls(made)
-    return () => made.forEach(({ url }) => URL.revokeObjectURL(url))
+    return () => made.forEach(({ url }) => release(url))
   }, [photographs])
   return (
     <ul class="photos" aria-label={`${photographs.length} photographs`}>

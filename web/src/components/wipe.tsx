@@ -4,6 +4,7 @@ import { explain, type PageError } from '../api/page-error'
 import type { Environments, Photograph, Photographs, RenderRequest } from '../api/types'
 import { useLoaded } from '../hooks'
 import { requestAt, type Look } from '../look'
+import { release } from '../object-url'
 import { Failure, Slider } from './common'
 
 /** Longest side of both pictures, pixels. */
@@ -61,7 +62,7 @@ function useTaken(of: Photograph | undefined): { url?: string; isMissing?: boole
     return () => stop.abort()
   }, [path])
   useEffect(() => () => {
-    if (shown.url) URL.revokeObjectURL(shown.url)
+    release(shown.url)
   }, [shown])
   return shown.path === path ? shown : {}
 }
@@ -87,7 +88,7 @@ function useFrame(model: string, request: RenderRequest | undefined): { url?: st
     }
   }, [model, body])
   useEffect(() => () => {
-    if (shown.url) URL.revokeObjectURL(shown.url)
+    release(shown.url)
   }, [shown])
   return shown
 }

@@ -1,5 +1,6 @@
 import type { Engine, EngineListener } from './engine'
 import type { Frames, Look } from './frames'
+import { release } from '../object-url'
 import type { OrbitView } from './orbit'
 import { firstView, type PhotographedViews } from './photographed'
 
@@ -70,7 +71,7 @@ export class ServedView implements Engine {
   close(): void {
     this.#closed = true
     clearTimeout(this.#timer)
-    if (this.node.src) URL.revokeObjectURL(this.node.src)
+    release(this.node.src)
   }
 
   #ask(wish: Wish): void {
@@ -100,7 +101,7 @@ export class ServedView implements Engine {
     const before = this.node.src
     this.node.src = URL.createObjectURL(blob)
     await this.node.decode()
-    if (before) URL.revokeObjectURL(before)
+    release(before)
     if (!this.#ready) this.#listener.ready()
     this.#ready = true
     this.#light = lightOf(look)
