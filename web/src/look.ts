@@ -105,7 +105,12 @@ export const TAKEN = {
 } as const
 
 /** What an export shows, for the list of exports. `lightName` names the light of its request. */
-export function exportName({ kind, request, progress }: Export, lightName: (light: EnvironmentSpec | null | undefined) => string): string {
+export function exportName(of: Export, lightName: (light: EnvironmentSpec | null | undefined) => string): string {
+  const isChanged = Boolean(of.request?.materials?.length)
+  return `${contentOf(of, lightName)}${isChanged ? ', materials changed' : ''}`
+}
+
+function contentOf({ kind, request, progress }: Export, lightName: (light: EnvironmentSpec | null | undefined) => string): string {
   if (request?.kind === 'frames') {
     const what = `${request.turntable ? 'Turntable' : 'Camera path'}, ${request.package === 'mp4' ? 'video' : 'pictures'}`
     const size = request.width && request.height ? `, ${request.width} × ${request.height} px` : ''
