@@ -1,10 +1,11 @@
 import { useEffect, useState } from 'preact/hooks'
 import { address, apiKey, post, remove } from '../api/client'
 import { explain, type PageError } from '../api/page-error'
-import type { Environments, EnvironmentSpec, Export, Listed, SignedUrl } from '../api/types'
+import type { Environments, EnvironmentSpec, Export, Listed, MaterialEdit, SignedUrl } from '../api/types'
 import { bytes, called, spoken } from '../format'
 import { useLoaded } from '../hooks'
-import { exportName, exportOf, TAKEN, type Look, type View } from '../look'
+import { environment, exportName, exportOf, TAKEN, type Look, type View } from '../look'
+import { exportWith, isLitByChanges } from '../materials'
 import { Badge, Failure } from './common'
 
 type Taken = keyof typeof TAKEN
@@ -13,7 +14,7 @@ type Taken = keyof typeof TAKEN
 const EVERY = 1500
 
 /** Requests exports of a model and lists the existing ones. */
-export function TakeAlong({ model, look, view, lights }: { model: string; look: Look; view: View | undefined; lights: Environments | undefined }) {
+export function TakeAlong({ model, look, view, lights, edits }: { model: string; look: Look; view: View | undefined; lights: Environments | undefined; edits: MaterialEdit[] }) {
   const [what, setWhat] = useState<Taken>('frames')
   const [frames, setFrames] = useState(60)
   const [side, setSide] = useState(512)
@@ -29,7 +30,9 @@ export function TakeAlong({ model, look, view, lights }: { model: string; look: 
   }, (failure: unknown) => setError(explain(failure)))
   const start = (event: Event) => {
     event.preventDefault()
-    void act(post<Export>(`v1/models/${encodeURIComponent(model)}/exports`, exportOf(what, look, view, lights?.builtin ?? [], frames, side)))
+    const builtin = lights?.builtin ?? []
+    const request = exportWith(exportOf(what, look, view, builtin, frames, side), edits, environment(look, builtin))
+    void act(post<Export>(`v1/models/${encodeURIComponent(model)}/exports`, request))
   }
   const isTurntable = what === 'frames' || what === 'video'
   return (
@@ -48,6 +51,7 @@ export function TakeAlong({ model, look, view, lights }: { model: string; look: 
             <Whole id="take-side" label="Side, px" value={side} least={2} most={4096} onInput={setSide} />
           </div>
         ) : null}
+        {edits.length > 0 ? <p class="small">The file has the changes of {edits.length === 1 ? '1 material' : `${edits.length} materials`}{isLitByChanges(what) ? ', under the chosen light' : ''}.</p> : null}
         <div class="row"><button type="submit">Make it</button></div>
       </form>
       <Failure error={error ?? made.error} />

@@ -1,11 +1,12 @@
 import { useCallback, useEffect, useState } from 'preact/hooks'
 import { ask, patch, remove } from '../api/client'
 import { explain, type PageError } from '../api/page-error'
-import type { Environments, Model } from '../api/types'
+import type { Environments, MaterialEdit, Model } from '../api/types'
 import { Calibration } from '../components/calibration'
 import { Choices, Facts, Failure, Head, Missing, save, Slider } from '../components/common'
 import { Lights } from '../components/lights'
 import { LightComparison } from '../components/light-comparison'
+import { Materials } from '../components/materials'
 import { TakeAlong } from '../components/take'
 import { ViewerPanel } from '../components/viewer-panel'
 import { Wipe } from '../components/wipe'
@@ -25,6 +26,7 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
   const [look, setLook] = useState<Look>(() => readLook(query))
   const [view, setView] = useState<View>()
   const [centre, setCentre] = useState<View['target']>()
+  const [edits, setEdits] = useState<MaterialEdit[]>([])
   const [failed, setFailed] = useState<PageError>()
   useTitle(model ? called(model, 'Model') : 'Model')
   const change = (some: Partial<Look>) => setLook((before) => ({ ...before, ...some }))
@@ -55,6 +57,7 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
         <div class="viewing">
           <div class="stack">
             <ViewerPanel key={`viewer ${version}`} model={model} look={look} query={view ? new URLSearchParams(written(look, view, centre)) : query} lights={lights.data} onView={seen} view={view} onRotation={(rotation) => change({ rotation })} />
+            <Materials key={`materials ${version}`} model={model} look={look} view={view} lights={lights.data} edits={edits} onChange={setEdits} />
             <LightComparison key={`lights ${version}`} model={id} view={view} lights={lights.data} onChange={(light) => change({ light })} />
             <section class="card stack" aria-labelledby="wipe">
               <h2 id="wipe">Against a photograph</h2>
@@ -74,7 +77,7 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
             </section>
             <Figures of={model} />
             <Calibration model={model} onDone={reload} />
-            <TakeAlong model={model.id} look={look} view={view} lights={lights.data} />
+            <TakeAlong model={model.id} look={look} view={view} lights={lights.data} edits={edits} />
             <Files of={model} onError={setFailed} />
           </div>
         </div>
