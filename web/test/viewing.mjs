@@ -5,7 +5,7 @@ const camera = (page) => page.evaluate(() => document.querySelector('relume-view
 const hash = (page, pattern) => page.waitForFunction((text) => new RegExp(text).test(location.hash), pattern)
 
 /** Holds back the answers to requests; returns the function that lets them through. */
-async function held(page, pattern) {
+export async function held(page, pattern) {
   let release
   const released = new Promise((resolve) => (release = resolve))
   await page.route(pattern, async (route) => {
