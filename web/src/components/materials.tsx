@@ -86,7 +86,7 @@ function Editor({ model, look, view, lights, edits, onChange, materials }: Mater
   return (
     <>
       <fieldset ref={list}>
-        <legend>Material</legend>
+        <legend>Material and its share of the surface</legend>
         <div class="swatches">
           {materials.map((one) => <Swatch key={one.material} of={one} edits={edits} isChosen={one.material === chosen} onChoose={setChosen} onHover={setHovered} onFocus={setFocused} />)}
         </div>
