@@ -35,47 +35,56 @@ async function pointsOf(page) {
   return found.map(({ material, x, y }) => ({ material, at: [(x + 0.5 + SIDE / 6) / (SIDE * 4 / 3), (y + 0.5) / SIDE] }))
 }
 
-/** Opens the panel, changes materials, compares the pictures, and takes the changes along. `audit` checks the accessibility of the page. */
-export async function changedMaterials(page, audit) {
+/** What the steps share: parts of the panel, its requests, and how its picture is compared. */
+function panelOf(page) {
   const panel = page.getByRole('region', { name: 'Materials' })
   const picture = panel.getByAltText('The model with the changes')
-  const old = panel.locator('.edited .waiting')
   const requests = []
-  const remember = (request) => /\/materials|\/render$/.test(request.url()) && requests.push({ url: request.url(), body: request.postData() ?? '' })
-  const isOfPanel = ({ url, body }) => url.endsWith('/materials') || body.includes('"width":640,"height":480') || body.includes('roughness')
-  page.on('request', remember)
+  page.on('request', (request) => /\/materials|\/render$/.test(request.url()) && requests.push({ url: request.url(), body: request.postData() ?? '' }))
+  const content = () => picture.evaluate((image) => {
+    const context = new OffscreenCanvas(image.naturalWidth, image.naturalHeight).getContext('2d')
+    context.drawImage(image, 0, 0)
+    return context.getImageData(0, 0, image.naturalWidth, image.naturalHeight).data.reduce((sum, byte) => (31 * sum + byte) >>> 0, 7)
+  })
+  return {
+    page, panel, picture, requests, content,
+    /** The requests of the panel, without those of the other parts of the page. */
+    asked: () => requests.filter(({ url, body }) => url.endsWith('/materials') || body.includes('"width":640,"height":480') || body.includes('roughness')),
+    choice: (material) => panel.locator(`input[type=radio][value="${material}"]`),
+    button: (name) => panel.getByRole('button', { name, exact: true }),
+    /** The content of the next picture, after an action. */
+    async renewed(act) {
+      const before = await picture.getAttribute('src')
+      await act()
+      await page.waitForFunction((src) => {
+        const image = document.querySelector('.edited img:not(.mask)')
+        return image.src !== src && !image.classList.contains('waiting')
+      }, before)
+      return content()
+    },
+  }
+}
+
+/** The closed panel loads nothing. */
+async function openedPanel({ page, panel, picture, asked, button }) {
   await page.reload()
   await page.locator('.viewer-panel .mode').waitFor()
   await page.locator('.poster').waitFor({ state: 'detached' })
   await page.getByRole('button', { name: 'Reset the view' }).click()
   await panel.waitFor()
   await page.waitForTimeout(500)
-  assert.deepEqual(requests.filter(isOfPanel), [], 'the closed panel loads nothing')
-  await panel.getByRole('button', { name: 'Show the materials' }).click()
+  assert.deepEqual(asked(), [], 'the closed panel loads nothing')
+  await button('Show the materials').click()
   await picture.waitFor()
-  const content = () => picture.evaluate((image) => {
-    const context = new OffscreenCanvas(image.naturalWidth, image.naturalHeight).getContext('2d')
-    context.drawImage(image, 0, 0)
-    return context.getImageData(0, 0, image.naturalWidth, image.naturalHeight).data.reduce((sum, byte) => (31 * sum + byte) >>> 0, 7)
-  })
-  const renewed = async (act) => {
-    const before = await picture.getAttribute('src')
-    await act()
-    await page.waitForFunction((src) => {
-      const image = document.querySelector('.edited img:not(.mask)')
-      return image.src !== src && !image.classList.contains('waiting')
-    }, before)
-    return content()
-  }
-  const [one, two] = await pointsOf(page)
-  const choice = (material) => panel.locator(`input[type=radio][value="${material}"]`)
+}
+
+/** A click selects the material there; beside the model it selects nothing. */
+async function clickedMaterials({ panel, picture, requests, choice }, one, two) {
   const click = async ([x, y]) => {
     await picture.scrollIntoViewIfNeeded()
     const { width, height } = await picture.boundingBox()
     await picture.click({ position: { x: x * width, y: y * height } })
   }
-
-  // A click selects the material there; beside the model it selects nothing.
   for (const { material, at } of [one, two, one]) {
     await click(at)
     await panel.getByText(`Material ${material} was selected.`).waitFor()
@@ -87,39 +96,39 @@ export async function changedMaterials(page, audit) {
   assert.ok(await choice(one.material).isChecked())
   const masks = requests.filter(({ body }) => /"outputs":\["(roughness|metallic)"\]/.test(body)).length
   assert.equal(masks, await panel.getByRole('radio').count(), 'each mask is requested once')
+}
 
-  // The control: without a change the same light gives the same picture; a change gives another one, its undoing the first one.
-  const first = await content()
+/** Without a change the same light gives the same picture (the control); a change gives another one. `first` is the picture without changes. */
+async function changedPictures({ page, panel, requests, asked, choice, button, renewed }, first, one, two) {
   const light = await page.evaluate(() => new URLSearchParams(location.hash.split('?')[1]).get('light') ?? 'studio')
   const other = light === 'dawn' ? 'night' : 'dawn'
   assert.notEqual(await renewed(() => page.getByRole('radio', { name: other, exact: true }).check()), first, 'another light')
   assert.equal(await renewed(() => page.locator(`.lights input[value="${light}"]`).check()), first, 'without a change')
-  assert.ok(await panel.getByRole('button', { name: 'Save changes' }).isDisabled())
-  const colour = panel.getByLabel('Colour')
-  const own = await colour.inputValue()
+  assert.ok(await button('Save changes').isDisabled())
+  const old = panel.locator('.edited .waiting')
   const release = await held(page, '**/render')
   requests.length = 0
   const blue = await renewed(async () => {
-    await colour.fill('#2244cc')
+    await panel.getByLabel('Colour').fill('#2244cc')
     await old.waitFor()
     await page.waitForTimeout(600)
     await panel.getByRole('slider', { name: 'Roughness' }).fill('0.1')
     await page.waitForTimeout(600)
-    assert.equal(requests.filter(isOfPanel).length, 1, 'one request at a time')
+    assert.equal(asked().length, 1, 'one request at a time')
     await release()
     await old.waitFor({ state: 'detached' })
   })
   assert.notEqual(blue, first, 'another colour')
-  assert.deepEqual(requests.filter(isOfPanel).map(({ body }) => JSON.parse(body).materials), [
-    [{ material: one.material, colour: '#2244cc' }], [{ material: one.material, colour: '#2244cc', roughness: 0.1 }],
-  ])
+  const colour = { material: one.material, colour: '#2244cc' }
+  assert.deepEqual(asked().map(({ body }) => JSON.parse(body).materials), [[colour], [{ ...colour, roughness: 0.1 }]])
   await panel.getByText('1 material is changed.').waitFor()
   await choice(two.material).check()
   await renewed(() => panel.getByRole('slider', { name: 'Metalness' }).press('ArrowRight'))
-  await audit(page, 'materials')
+}
 
-  // The changes in a file and in an export.
-  const [download] = await Promise.all([page.waitForEvent('download'), panel.getByRole('button', { name: 'Save changes' }).click()])
+/** The changes in a file and in an export. */
+async function savedChanges({ page, button }, one, two) {
+  const [download] = await Promise.all([page.waitForEvent('download'), button('Save changes').click()])
   assert.match(download.suggestedFilename(), /-materials\.json$/)
   const saved = JSON.parse(readFileSync(await download.path(), 'utf8'))
   assert.deepEqual(saved.map(({ material }) => material), [one.material, two.material].sort((a, b) => a - b))
@@ -129,22 +138,34 @@ export async function changedMaterials(page, audit) {
   await page.getByRole('button', { name: 'Make it' }).click()
   await page.getByRole('button', { name: /^↓ GLTF, .*, materials changed$/ }).waitFor()
   await page.getByRole('button', { name: /^Delete GLTF, .*, materials changed$/ }).click()
-  await page.getByRole('button', { name: /^↓ GLTF/ }).waitFor({ state: 'detached' })
+  await page.getByRole('button', { name: /^↓ GLTF, .*, materials changed$/ }).waitFor({ state: 'detached' })
+}
 
-  // Undoing of one and of all; an error is a sentence, and another attempt helps.
-  await renewed(() => panel.getByRole('button', { name: 'Undo', exact: true }).click())
+/** Undoing of one and of all; an error is a sentence, and another attempt helps. */
+async function undoneChanges({ page, panel, picture, button, renewed }, first) {
+  await renewed(() => button('Undo').click())
   await panel.getByText('1 material is changed.').waitFor()
   const busy = { status: 503, contentType: 'application/problem+json', body: JSON.stringify({ type: 'urn:relume:problem:busy', title: 'Busy', status: 503, request_id: '' }) }
   await page.route('**/render', (route) => route.fulfill(busy))
-  await panel.getByRole('button', { name: 'Undo all' }).click()
+  await button('Undo all').click()
   await panel.getByRole('alert').getByText('The server is busy.').waitFor()
   await page.unroute('**/render')
-  assert.equal(await renewed(() => panel.getByRole('button', { name: 'Try again' }).click()), first, 'all changes are undone')
-  await choice(one.material).check()
-  assert.equal(await colour.inputValue(), own)
-  await panel.getByRole('button', { name: 'Hide the materials' }).click()
+  assert.equal(await renewed(() => button('Try again').click()), first, 'all changes are undone')
+  await button('Hide the materials').click()
   await picture.waitFor({ state: 'detached' })
-  await panel.getByRole('button', { name: 'Show the materials' }).click()
+  await button('Show the materials').click()
   await picture.waitFor()
-  page.off('request', remember)
+}
+
+/** Opens the panel, selects and changes materials, compares the pictures, and takes the changes along. `audit` checks the accessibility of the page. */
+export async function changedMaterials(page, audit) {
+  const panel = panelOf(page)
+  await openedPanel(panel)
+  const [one, two] = await pointsOf(page)
+  await clickedMaterials(panel, one, two)
+  const first = await panel.content()
+  await changedPictures(panel, first, one, two)
+  await audit(page, 'materials')
+  await savedChanges(panel, one, two)
+  await undoneChanges(panel, first)
 }
