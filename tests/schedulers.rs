@@ -185,17 +185,10 @@ mod stops {
     #[test]
     fn a_second_signal_ends_training_at_once() {
         let folder = TempDir::new().unwrap();
-        let code = || {
-            let (mut child, _reader) = started(folder.path(), &["--iterations", "5000", "--checkpoint", "c"]);
-            // Both signals are pending before the process continues. Two of its threads may handle them at
-            // the same time; then neither counts as the second.
-            send(&child, &["STOP", "TERM", "INT", "CONT"]);
-            let code = child.wait().unwrap().code();
-            std::fs::remove_file(folder.path().join("c")).ok();
-            code
-        };
-        let codes: Vec<_> = (0..5).map(|_| code()).collect();
-        assert!(codes.iter().all(|code| matches!(code, Some(75 | 130 | 143))), "{codes:?}");
-        assert!(codes.iter().any(|code| matches!(code, Some(130 | 143))), "{codes:?}");
+        let (mut child, _reader) = started(folder.path(), &["--iterations", "5000", "--checkpoint", "c"]);
+        // Both signals are pending before the process continues.
+        send(&child, &["STOP", "TERM", "INT", "CONT"]);
+        let code = child.wait().unwrap().code();
+        assert!(matches!(code, Some(130 | 143)), "{code:?}");
     }
 }

@@ -5,13 +5,13 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use sysinfo::System;
-use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::error::{CommandResult, STOPPED};
 use crate::cli::key::key;
 use crate::cli::progress::ProgressKind;
 use crate::cli::size::size;
+use crate::cli::stop::{StopRequest, on_stop};
 use crate::cli::worker_progress::progress_observer;
 use crate::jobs::{Ids, RandomIds, SystemClock};
 use crate::remote_worker::{FileCache, RemoteJobs};
@@ -95,17 +95,16 @@ async fn work(args: WorkerArgs) -> CommandResult<ExitCode> {
 
 /// On the first signal the worker stores a checkpoint and releases its job; on the second it exits immediately.
 fn stop_on_signals(stop: CancellationToken) -> std::io::Result<()> {
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut terminate = signal(SignalKind::terminate())?;
-    tokio::spawn(async move {
-        tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
-        tracing::info!("stopping; the running job is returned to the queue");
-        stop.cancel();
-        tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
-        tracing::warn!(
-            "stopped without a new checkpoint; the server returns the job to the queue when its lease ends"
-        );
-        std::process::exit(1);
-    });
-    Ok(())
+    on_stop(move |request| match request {
+        StopRequest::Save => {
+            tracing::info!("stopping; the running job is returned to the queue");
+            stop.cancel();
+        }
+        StopRequest::Exit { code } => {
+            tracing::warn!(
+                "stopped without a new checkpoint; the server returns the job to the queue when its lease ends"
+            );
+            std::process::exit(code);
+        }
+    })
 }

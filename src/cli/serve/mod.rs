@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
-use tokio::signal::unix::{SignalKind, signal};
+use tokio_util::sync::CancellationToken;
 
 use crate::cli::CommandResult;
 use crate::cli::artifacts::ArtifactsArgs;
 use crate::cli::database::DatabaseArgs;
+use crate::cli::stop::{StopRequest, on_stop};
 use crate::server::{self, CorsOrigin, ServerConfig};
 use relume_engine::DeviceChoice;
 
@@ -118,17 +119,16 @@ async fn serve(args: ServeArgs) -> CommandResult {
     let listener = TcpListener::bind(args.listen).await?;
     // Users and scripts read the address from this line if the port is 0.
     println!("listening on http://{}", listener.local_addr()?);
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut terminate = signal(SignalKind::terminate())?;
-    let shutdown = async move {
-        tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
-        tokio::spawn(async move {
-            tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
+    let stop = CancellationToken::new();
+    let token = stop.clone();
+    on_stop(move |request| match request {
+        StopRequest::Save => token.cancel(),
+        StopRequest::Exit { code } => {
             tracing::warn!(
                 "stopped without a new checkpoint; the running job will continue from its last checkpoint"
             );
-            std::process::exit(130);
-        });
-    };
-    Ok(server::run(config, listener, shutdown).await?)
+            std::process::exit(code);
+        }
+    })?;
+    Ok(server::run(config, listener, stop.cancelled_owned()).await?)
 }
