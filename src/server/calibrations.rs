@@ -170,6 +170,7 @@ async fn albedo(
         shows_environment: false,
         quality: Tier::Standard.into(),
         outputs: vec![Output::Albedo],
+        ground_height: None,
     };
     let _memory = app.memory.reserve(frame_bytes(task.pixels(), &task.outputs)).await?;
     Ok(patch_albedo(&app.device.render(task).await?.answer))

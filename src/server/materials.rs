@@ -112,6 +112,7 @@ async fn material_mask(
         shows_environment: false,
         quality: Tier::Standard.into(),
         outputs: vec![Output::Albedo],
+        ground_height: None,
     };
     let picture = renders::render_frame(&app, task, FrameFormat::Png, EncodeOptions::default()).await?;
     Ok(renders::respond(picture, FrameFormat::Png))

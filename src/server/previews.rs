@@ -137,6 +137,7 @@ fn task(id: &JobId, preview: &Preview, orbit: Orbit) -> RenderTask {
         shows_environment: false,
         quality: tier.into(),
         outputs: vec![output],
+        ground_height: None,
     }
 }
 

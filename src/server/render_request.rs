@@ -57,6 +57,18 @@ pub(super) fn check_outputs(outputs: &[Output], format: FrameFormat) -> Result<(
     }
 }
 
+/// Refuses a height of the ground without outputs of the ground, or one that is not finite.
+pub(super) fn check_ground(height: Option<f64>, outputs: &[Output]) -> Result<(), Problem> {
+    let refuse = |why: &str| Err(Problem::invalid_field("/ground_height", why));
+    match height {
+        Some(height) if !height.is_finite() => refuse("must be finite"),
+        Some(_) if !outputs.iter().any(|output| output.is_of_ground()) => {
+            refuse("applies to the outputs shadow, bounce and contact; add one of them to outputs")
+        }
+        _ => Ok(()),
+    }
+}
+
 /// The encoding options. Refuses options that the format does not support.
 pub(super) fn finish(request: &RenderRequest, format: FrameFormat) -> Result<EncodeOptions, Problem> {
     let encoding = EncodeOptions {

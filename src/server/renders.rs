@@ -37,7 +37,8 @@ pub(super) fn routes() -> OpenApiRouter<AppState> {
 ///
 /// The content of a PNG depends on the output. Colours: display-referred with `tone_curve` and straight
 /// alpha. `normal`: 16-bit, `(n + 1) / 2`. `depth`: 16-bit grey between the two depths in the header
-/// `relume-depth-range`; 65535 where there is no surface. Other outputs: 8-bit linear grey.
+/// `relume-depth-range`; 65535 where there is no surface. `shadow` and `bounce`: 8-bit with the sRGB curve.
+/// Other outputs: 8-bit linear grey.
 ///
 /// An EXR is multi-part and linear and contains every requested output. Colours are premultiplied. Its
 /// attributes contain the camera (`worldToCamera`), the model and the light.
@@ -65,6 +66,7 @@ async fn render(
     let format = negotiate::frame_format(&headers)?;
     render_request::check_outputs(&request.outputs, format)?;
     let encoding = render_request::finish(&request, format)?;
+    render_request::check_ground(request.ground_height, &request.outputs)?;
     let camera = camera(&request)?;
     let (size, on_gpu) = ((request.width, request.height), app.device.has_gpu());
     let quality = quality(request.tier, request.samples, request.seed, size, on_gpu)?;
@@ -81,6 +83,7 @@ async fn render(
         shows_environment: request.background == Background::Environment,
         quality,
         outputs: request.outputs,
+        ground_height: request.ground_height,
     };
     let encoding = EncodeOptions { frame_metadata: notes(&task, Some(camera)), ..encoding };
     let views = models::photographed_views(&app, &caller.tenant, &id).await?;
@@ -101,6 +104,7 @@ pub(super) fn notes(task: &RenderTask, camera: Option<Camera>) -> FrameMetadata 
         quality: task.quality,
         camera,
         frames_per_second: None,
+        ground_height: task.ground_height,
     }
 }
 

@@ -110,6 +110,7 @@ async fn thumbnail(
             shows_environment: encoding.background == Background::Environment,
             quality: tier.into(),
             outputs,
+            ground_height: None,
         };
         let picture = ThumbnailRequest { tenant: &caller.tenant, digest: &digest, format };
         found_or_rendered(&app, task, encoding, &picture).await?

@@ -165,6 +165,7 @@ mod tests {
             viewpoint: Viewpoint::Orbit(Orbit { azimuth_deg: Some(0.0), elevation_deg: Some(0.0), size }),
             quality: tier.into(),
             outputs: vec![Output::Rgb],
+            ground_height: None,
         }
     }
 

@@ -160,6 +160,10 @@ pub struct FramesExport {
     #[serde(default = "rgb_only")]
     #[schema(value_type = Vec<String>, example = json!(["rgb"]))]
     pub outputs: Vec<Output>,
+    /// Height (z) of the ground for the outputs `shadow`, `bounce` and `contact`, units of the capture. Omitted: the lowest point of the
+    /// model.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub ground_height: Option<f64>,
     /// File format of the frames: `png`, `jpeg` or `exr`. Omitted: `png`. A video needs `png` or `jpeg`.
     #[serde(default)]
     pub format: FrameFormat,

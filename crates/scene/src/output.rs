@@ -30,6 +30,15 @@ pub enum Output {
     Specular,
     /// The radiance branch: the scene under its own light, linear, premultiplied (3).
     Radiance,
+    /// Point of the surface, capture units; zero in empty pixels (3).
+    Position,
+    /// Share of the light that reaches the ground past the model, per channel; 1 without ground (3).
+    Shadow,
+    /// Light that the model sends to the ground, as a share of the light that reaches the ground without the model, per channel; 0 without
+    /// ground (3).
+    Bounce,
+    /// Ambient occlusion of the ground by the model, 1 = open (1).
+    Contact,
 }
 
 impl Output {
@@ -37,7 +46,18 @@ impl Output {
     pub fn channels(self) -> usize {
         match self {
             Self::Rgb | Self::Albedo | Self::Normal | Self::Diffuse | Self::Specular | Self::Radiance => 3,
-            Self::Metallic | Self::Roughness | Self::Visibility | Self::Depth | Self::Alpha => 1,
+            Self::Position | Self::Shadow | Self::Bounce => 3,
+            Self::Metallic
+            | Self::Roughness
+            | Self::Visibility
+            | Self::Depth
+            | Self::Alpha
+            | Self::Contact => 1,
         }
+    }
+
+    /// Whether the ground below the model has this plane, and not the model.
+    pub fn is_of_ground(self) -> bool {
+        matches!(self, Self::Shadow | Self::Bounce | Self::Contact)
     }
 }

@@ -6,6 +6,7 @@
 mod exposures;
 mod gpu;
 mod gpu_rays;
+mod ground;
 mod light_groups;
 mod light_matrix;
 mod lights;

@@ -19,6 +19,7 @@ pub(super) struct RenderSession {
     light: Illumination,
     quality: Quality,
     outputs: Vec<Output>,
+    ground_height: Option<f64>,
     format: FrameFormat,
     /// All encoding options except the camera and the rotation of the light.
     encoding: EncodeOptions,
@@ -37,6 +38,7 @@ impl RenderSession {
             quality,
             camera: None,
             frames_per_second: args.sequence.fps,
+            ground_height: args.ground_height,
         };
         let encoding = EncodeOptions {
             background: args.background,
@@ -52,7 +54,7 @@ impl RenderSession {
         let light = illumination(env, &model)?;
         let light = light.rotated_and_scaled(0.0, args.exposure.exp2() as f32);
         let renderer = Renderer::on(model, &Device::open(args.device)?)?;
-        Ok(Self { renderer, light, quality, outputs, format, encoding })
+        Ok(Self { renderer, light, quality, outputs, ground_height: args.ground_height, format, encoding })
     }
 
     pub(super) fn model(&self) -> &Model {
@@ -65,7 +67,10 @@ impl RenderSession {
         let rotation_deg = self.encoding.frame_metadata.rotation_deg + view.light_rotation_deg;
         let light = light.at(&self.renderer, &self.light, rotation_deg)?;
         let FrameView { camera, .. } = view;
-        let mut frame = self.renderer.render(camera, light, self.quality, &self.outputs)?;
+        let bands = self.renderer.bands(camera, light, self.quality, &self.outputs)?;
+        let mut bands = bands.on_ground(self.ground_height);
+        while bands.render_next()? {}
+        let mut frame = bands.into_frame();
         if self.encoding.background == Background::Environment {
             self.renderer.show_environment(&mut frame, camera, light);
         }

@@ -118,6 +118,7 @@ async fn frame(
         shows_environment: plan.encoding.background == Background::Environment,
         quality: plan.quality,
         outputs: spec.outputs.clone(),
+        ground_height: spec.ground_height,
     };
     let mut frame_metadata = renders::notes(&task, Some(view.camera));
     frame_metadata.frames_per_second = spec.frames_per_second;

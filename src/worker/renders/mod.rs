@@ -158,6 +158,8 @@ pub struct RenderTask {
     pub quality: Quality,
     /// The outputs.
     pub outputs: Vec<Output>,
+    /// Height of the ground, capture units; `None`: the lowest point of the model.
+    pub ground_height: Option<f64>,
 }
 
 /// A light to prepare for a model, for shading in a viewer.
@@ -341,7 +343,8 @@ impl RenderScene {
     ) -> Result<Frame, RenderFailure> {
         let _span = tracing::info_span!("draw", tier = task.quality.tier.name()).entered();
         let LitModel { renderer, light } = &self.lit;
-        let mut bands = renderer.bands(&self.camera, light, task.quality, &task.outputs)?;
+        let bands = renderer.bands(&self.camera, light, task.quality, &task.outputs)?;
+        let mut bands = bands.on_ground(task.ground_height);
         while bands.render_next()? {
             between()?;
         }

@@ -33,6 +33,7 @@ fn task(model: &ModelSource, tier: Tier, exposure_ev: f64) -> RenderTask {
         viewpoint: Viewpoint::Orbit(Orbit { azimuth_deg: Some(10.0), elevation_deg: Some(20.0), size: 24 }),
         quality: Quality { samples: 4, ..tier.into() },
         outputs: vec![Output::Rgb, Output::Diffuse, Output::Specular, Output::Albedo, Output::Depth],
+        ground_height: None,
     }
 }
 

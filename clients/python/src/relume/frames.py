@@ -25,6 +25,10 @@ _CHANNELS = {
     "metallic": ("metallic.Y",),
     "roughness": ("roughness.Y",),
     "visibility": ("visibility.Y",),
+    "position": ("P.X", "P.Y", "P.Z"),
+    "shadow": ("shadow.R", "shadow.G", "shadow.B"),
+    "bounce": ("bounce.R", "bounce.G", "bounce.B"),
+    "contact": ("contact.Y",),
 }
 
 

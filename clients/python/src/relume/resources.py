@@ -264,10 +264,14 @@ class Model(Resource):
         samples: int | None = None,
         seed: int | None = None,
         materials: Sequence[dict[str, Any]] = (),
+        ground_height: float | None = None,
     ) -> Frame:
-        """A frame as linear arrays, its `alpha` among them. `size` is width and height, or both. `materials` are changes of materials."""
+        """A frame as linear arrays, its `alpha` among them. `size` is width and height, or both. `materials` are changes of materials.
+
+        `ground_height` is the height of the ground for the outputs `shadow`, `bounce` and `contact`; by default the lowest point of the model.
+        """
         asked = self._request(camera, environment, size, [*dict.fromkeys([*outputs, "alpha"])], tier, rotation_deg, exposure_ev)
-        drawn = {"samples": samples, "seed": seed, "materials": [*materials] or None}
+        drawn = {"samples": samples, "seed": seed, "materials": [*materials] or None, "ground_height": ground_height}
         asked.update({key: value for key, value in drawn.items() if value is not None})
         answer = self._connection.send("POST", self._at("/render"), json=asked, headers={"Accept": "image/x-exr"})
         return Frame.from_exr(answer.content)

@@ -14,6 +14,7 @@ mod direct;
 mod display;
 mod frames;
 mod gather;
+mod ground;
 mod host;
 mod labels;
 mod lambert;
@@ -45,6 +46,7 @@ pub use branch_images::{BranchImages, BufferGradient, radiance_image, radiance_i
 pub(crate) use frames::CpuFrameRenderer;
 pub use frames::blended_radiance;
 pub use gather::{Transport, sky_irradiance};
+pub use ground::{Ground, GroundView};
 pub use host::{HostLight, HostModel, SurfaceEdit, VisibleSurface};
 pub use labels::{BackwardLabel, backward_labels};
 pub(crate) use lanes::exp_negative;

@@ -88,6 +88,13 @@ impl Footprint {
         (power <= self.reach).then(|| (self.opacity * exp_negative(-power.max(0.0))).min(ALPHA_MAX))
     }
 
+    /// Least and greatest first offset at the second offset `dy` with alpha >= 1/255; `None` where there is none.
+    pub(super) fn chord(&self, dy: f32) -> Option<[f32; 2]> {
+        let [a, b, c] = self.conic;
+        let square = b * b * dy * dy - a * (c * dy * dy - 2.0 * self.reach);
+        (square >= 0.0).then(|| [-1.0, 1.0].map(|sign: f32| (sign * square.sqrt() - b * dy) / a))
+    }
+
     /// Half the sides of the bounding box of alpha >= 1/255.
     pub(super) fn extent(&self) -> [f32; 2] {
         self.spread.map(|s| (2.0 * self.reach * s).sqrt())

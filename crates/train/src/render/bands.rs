@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use crate::render::Frame;
 use crate::render::error::RenderError;
+use crate::render::ground::{GroundPlanes, positions};
 use crate::render::renderer::{PreparedLight, Renderer};
 use relume_engine::{DeviceError, FrameJob, RasterCamera, RayLight};
 use relume_layout::constants::TILE;
@@ -17,8 +18,12 @@ pub struct Bands<'a> {
     light: &'a PreparedLight,
     view: RasterCamera,
     quality: Quality,
-    /// Sorted, without duplicates, including coverage.
+    /// Requested outputs, sorted, without duplicates, including coverage.
     outputs: Vec<Output>,
+    /// Those of them that the device renders, and the depth that positions need.
+    of_device: Vec<Output>,
+    /// Height of the ground, capture units; `None`: [`Renderer::ground_height`].
+    ground: Option<f64>,
     /// Rows of a band: whole tiles where the device allows, so that no tile is blended twice.
     rows: usize,
     /// Completed rows.
@@ -70,19 +75,52 @@ impl Renderer {
             (true, Tier::MonteCarlo) => Quality::SAMPLED_BAND_COST,
             (true, _) => Quality::BAND_COST,
         };
-        let max_rows = self.frames.max_rows(view.width, self.colour(quality.tier, &outputs));
+        let of_device = of_device(&outputs);
+        let max_rows = self.frames.max_rows(view.width, self.colour(quality.tier, &of_device));
         let rows = rows(view.width, quality, max_cost, max_rows);
-        Ok(Bands { renderer: self, light, view, quality, outputs, rows, done: 0, frame })
+        Ok(Bands {
+            renderer: self,
+            light,
+            view,
+            quality,
+            outputs,
+            of_device,
+            ground: None,
+            rows,
+            done: 0,
+            frame,
+        })
     }
 }
 
+/// The outputs that a device renders for `outputs`.
+fn of_device(outputs: &[Output]) -> Vec<Output> {
+    let renders = |output: &Output| !output.is_of_ground() && *output != Output::Position;
+    let mut of_device: Vec<Output> = outputs.iter().copied().filter(renders).collect();
+    if outputs.contains(&Output::Position) && !outputs.contains(&Output::Depth) {
+        of_device.push(Output::Depth);
+        of_device.sort_unstable();
+    }
+    of_device
+}
+
 impl Bands<'_> {
-    /// Renders the next band. Returns false when the frame is complete.
+    /// Sets the height of the ground, capture units. Default, and with `None`: [`Renderer::ground_height`].
+    #[must_use]
+    pub fn on_ground(self, height: Option<f64>) -> Self {
+        Self { ground: height, ..self }
+    }
+
+    /// Renders the next band, and after the last one the planes of the ground. Returns false when the frame is complete.
     ///
     /// # Errors
     /// The device failed.
     pub fn render_next(&mut self) -> Result<bool, RenderError> {
         let first = self.done;
+        if first == self.view.height {
+            self.add_ground();
+            return Ok(false);
+        }
         let mut view = self.view;
         view.height = self.rows.min(self.view.height - first);
         view.centre_px[1] -= first as f32;
@@ -90,7 +128,7 @@ impl Bands<'_> {
         self.done += view.height;
         if first == 0 && self.done == self.view.height {
             self.frame.planes = band.planes;
-            return Ok(false);
+            return Ok(self.is_incomplete());
         }
         for (output, mut values) in band.planes {
             let plane = self.frame.planes.entry(output).or_default();
@@ -99,7 +137,30 @@ impl Bands<'_> {
             }
             plane.append(&mut values);
         }
-        Ok(self.done < self.view.height)
+        Ok(self.is_incomplete())
+    }
+
+    /// Whether a band or a plane that no device renders is missing. Adds the positions when all bands are there.
+    fn is_incomplete(&mut self) -> bool {
+        if self.done < self.view.height {
+            return true;
+        }
+        let model = self.renderer.model();
+        let depths = self.frame.planes.get(&Output::Depth);
+        if let (true, Some(depths)) = (self.outputs.contains(&Output::Position), depths) {
+            let points = positions(&self.view, depths, (model.world_scale, model.world_offset));
+            self.frame.planes.insert(Output::Position, points);
+        }
+        let outputs = &self.outputs;
+        self.frame.planes.retain(|output, _| outputs.contains(output));
+        self.outputs.iter().any(|output| output.is_of_ground())
+    }
+
+    /// Adds the planes of the ground.
+    fn add_ground(&mut self) {
+        let Self { renderer, light, view, .. } = *self;
+        let height = renderer.normalised_height(self.ground);
+        GroundPlanes { renderer, light, view, height }.add_to(&mut self.frame, &self.outputs);
     }
 
     /// The frame with the bands rendered so far.
@@ -112,8 +173,8 @@ impl Bands<'_> {
         let (renderer, light, quality) = (self.renderer, self.light, self.quality);
         let job = FrameJob {
             view,
-            outputs: &self.outputs,
-            colour: renderer.colour(quality.tier, &self.outputs),
+            outputs: &self.of_device,
+            colour: renderer.colour(quality.tier, &self.of_device),
             depth_scale: (1.0 / renderer.model().world_scale) as f32,
         };
         Ok(match quality.tier {

@@ -27,7 +27,8 @@ pub struct EncodedFrame {
 ///
 /// - Colours (`rgb`, `albedo`, `diffuse`, `specular`, `radiance`): tone curve (albedo: sRGB), 8 bit, straight alpha;
 ///   16 bit with [`ToneCurve::Linear`]. A background colour is blended in display values.
-/// - `normal`: 16 bit, `(n + 1) / 2`. `metallic`, `roughness`, `visibility`, `alpha`: 8-bit grey, linear.
+/// - `normal`: 16 bit, `(n + 1) / 2`. `metallic`, `roughness`, `visibility`, `alpha`, `contact`: 8-bit grey, linear.
+/// - `shadow`, `bounce`: 8 bit with the sRGB curve, so that a product of display values is nearly that of light.
 /// - `depth`: 16-bit grey, linear between the nearest and farthest depth of the frame.
 /// - A PNG states its colour space: `sRGB`, or `gAMA` 1 for linear light and for outputs that are not colours.
 /// - EXR: linear. Colours in part `beauty` (`rgb` with alpha as `RGBA`), premultiplied unless
@@ -87,6 +88,10 @@ fn png(frame: &Frame, output: Output, options: &EncodeOptions) -> Result<Encoded
         let (levels, range) = depth_levels(values);
         let bytes = linear(encode_png16(w, h, &levels)?)?;
         return Ok(EncodedFrame { bytes, depth_range: Some(range) });
+    }
+    if output.is_of_ground() && output.channels() == 3 {
+        let pixels: Vec<[u8; 3]> = values.as_chunks::<3>().0.iter().map(|p| p.map(srgb::encode_u8)).collect();
+        return with_colour(&encode_png(w, h, &pixels)?, PngColour::Srgb).map(bare);
     }
     if output.channels() == 3 {
         let level = |v: f32| ((v * 0.5 + 0.5).clamp(0.0, 1.0) * 65535.0).round() as u16;
@@ -223,6 +228,10 @@ fn layer_name(output: Output) -> (&'static str, &'static str) {
         Output::Radiance => ("radiance", "RGB"),
         Output::Normal => ("N", "XYZ"),
         Output::Depth => ("", "Z"),
+        Output::Position => ("P", "XYZ"),
+        Output::Shadow => ("shadow", "RGB"),
+        Output::Bounce => ("bounce", "RGB"),
+        Output::Contact => ("contact", "Y"),
         Output::Metallic => ("metallic", "Y"),
         Output::Roughness => ("roughness", "Y"),
         Output::Visibility => ("visibility", "Y"),

@@ -32,6 +32,9 @@ impl EncodeOptions {
     pub fn check(&self, outputs: &[Output], format: FrameFormat) -> Result<(), RenderError> {
         use FrameFormat::{Exr, Jpeg, Png};
         let refuse = |field, reason: &str| Err(RenderError::Refused { field, reason: reason.to_owned() });
+        if format != Exr && outputs.contains(&Output::Position) {
+            return refuse("outputs", "position requires EXR, which stores any number");
+        }
         match (self.background, format) {
             (Background::Colour(_), Exr) => {
                 return refuse("background", "a colour is display-referred, but EXR is scene-referred");

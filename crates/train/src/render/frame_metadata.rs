@@ -21,6 +21,8 @@ pub struct FrameMetadata {
     pub camera: Option<Camera>,
     /// Frame rate of the sequence that the frame belongs to, frames per second.
     pub frames_per_second: Option<u32>,
+    /// Height of the ground, capture units, if it was given.
+    pub ground_height: Option<f64>,
 }
 
 impl FrameMetadata {
@@ -38,6 +40,9 @@ impl FrameMetadata {
         ];
         if tier == Tier::MonteCarlo {
             texts.push(("relume:samples", format!("{samples} of seed {seed}")));
+        }
+        if let Some(height) = self.ground_height {
+            texts.push(("relume:ground_height", height.to_string()));
         }
         texts.retain(|(_, text)| !text.is_empty());
         let frames_per_second = self.frames_per_second;

@@ -8,6 +8,7 @@ mod encode;
 mod encode_options;
 mod error;
 mod frame_metadata;
+mod ground;
 mod high_tier_light;
 mod light_matrix;
 mod mesh;

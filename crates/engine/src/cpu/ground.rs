@@ -1,0 +1,325 @@
+//! Light on a horizontal plane below a model (docs/MODEL.md, section 9).
+//!
+//! Each direction of light has a picture: the model as the plane sees it along the direction, orthographic. All points of the plane read
+//! the same pictures.
+
+use multiversion::multiversion;
+use rayon::prelude::*;
+
+use crate::NO_INDIRECT_BASIS;
+use crate::cpu::lanes::exp_negative;
+use crate::cpu::occluder::{Footprint, Occluder, Vec3, dot, occluders, plane_basis};
+use crate::cpu::{HostLight, HostModel, outward_normals};
+use relume_layout::constants::ALPHA_MAX;
+use relume_scene::light::LightCell;
+use relume_scene::{Field, opaque_centre, opaque_radius};
+
+/// Pictures that are in memory at the same time.
+const GROUP: usize = 32;
+/// Radius of the ball in which the model is searched, normalised world.
+const REACH: f64 = 4.0;
+/// Radius of a model with too few opaque Gaussians, normalised world.
+const DEFAULT_RADIUS: f32 = 1.2;
+/// Least number of texels along a side of a picture.
+const MIN_SIDE: f32 = 64.0;
+/// Texels of a row that are computed together.
+const ROW: usize = 64;
+/// Margin around the ball of the opaque Gaussians.
+const MARGIN: f32 = 1.1;
+
+/// The Gaussians of a model above a horizontal plane, as occluders of its light.
+pub struct Ground {
+    /// Gaussians above the plane, with their numbers.
+    occluders: Vec<(usize, Occluder)>,
+    centre: Vec3,
+    radius: f32,
+}
+
+/// What a point of the plane sees of the model.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct GroundView {
+    /// Mean transmittance of the directions: ambient occlusion.
+    pub open: f32,
+    /// Mean radiance from the model.
+    pub radiance: [f32; 3],
+}
+
+impl HostModel {
+    /// The model above the plane z = `height`, normalised world.
+    pub fn ground(&self, height: f32) -> Ground {
+        let gaussians = &self.model().gaussians;
+        let centre = opaque_centre(gaussians, glam::DVec3::ZERO, REACH).unwrap_or_default();
+        let radius = opaque_radius(gaussians, centre, REACH).map_or(DEFAULT_RADIUS, |r| r as f32 * MARGIN);
+        let source = self.source(&[], &[], &NO_INDIRECT_BASIS);
+        let above = |(_, o): &(usize, Occluder)| o.occludes() && o.mean[2] > height;
+        let occluders = occluders(&source).into_iter().enumerate().filter(above).collect();
+        Ground { occluders, centre: centre.to_array().map(|v| v as f32), radius }
+    }
+}
+
+impl Ground {
+    /// For each of `points` of the plane, the irradiance of `cells` that passes the model. The pictures of the model have at most
+    /// `side` texels along a side, fewer for large cells.
+    pub fn irradiance(&self, points: &[Vec3], cells: &[LightCell], side: usize) -> Vec<[f32; 3]> {
+        let mut sums = vec![[0.0f32; 3]; points.len()];
+        for cells in cells.chunks(GROUP) {
+            let pictures: Vec<Picture<1>> = cells
+                .par_iter()
+                .map(|cell| {
+                    let side = side_for(cell.solid_angle).min(side);
+                    self.picture(cell.direction, side, |_, _| [], |[left], [], alpha| [left * (1.0 - alpha)])
+                })
+                .collect();
+            sums.par_iter_mut().zip(points).with_min_len(256).for_each(|(sum, point)| {
+                for (picture, cell) in pictures.iter().zip(cells) {
+                    let [left] = picture.at(*point);
+                    (0..3).for_each(|c| sum[c] += left * cell.irradiance[c]);
+                }
+            });
+        }
+        sums
+    }
+
+    /// For each of `points` of the plane, the mean over `directions` of what it sees of the model under `light`. `light` must belong to
+    /// this model; `None`: without radiance. What no photograph shows is dark: the inner side of a surface, and Gaussians with a negative
+    /// sampling rate.
+    pub fn views(
+        &self,
+        points: &[Vec3],
+        directions: &[Vec3],
+        light: Option<&HostLight>,
+        side: usize,
+    ) -> Vec<GroundView> {
+        let mut sums = vec![[0.0f32; 4]; points.len()];
+        let lit = light.map(|light| (light, light.source(), outward_normals(&light.source())));
+        let sent = |i: usize, d: Vec3| {
+            let Some((light, source, outward)) = &lit else { return [0.0; 3] };
+            let is_hidden = source.gaussians.row(Field::SamplingRate, i)[0] < 0.0;
+            if is_hidden || dot(outward[i], d) >= 0.0 { [0.0; 3] } else { light.outgoing(i, d).total() }
+        };
+        let blend = |[left, r, g, b]: [f32; 4], [x, y, z]: [f32; 3], alpha: f32| {
+            let weight = left * alpha;
+            [left - weight, r + weight * x, g + weight * y, b + weight * z]
+        };
+        for directions in directions.chunks(GROUP) {
+            let pictures: Vec<Picture<4>> =
+                directions.par_iter().map(|d| self.picture(*d, side, sent, blend)).collect();
+            sums.par_iter_mut().zip(points).with_min_len(256).for_each(|(sum, point)| {
+                for picture in &pictures {
+                    let seen = picture.at(*point);
+                    (0..4).for_each(|c| sum[c] += seen[c]);
+                }
+            });
+        }
+        let share = 1.0 / directions.len().max(1) as f32;
+        let view = |[open, r, g, b]: [f32; 4]| GroundView {
+            open: open * share,
+            radiance: [r, g, b].map(|v| v * share),
+        };
+        sums.into_iter().map(view).collect()
+    }
+
+    /// The picture along `d`. The Gaussians are blended from the plane on; `sent` is what a Gaussian sends towards the plane.
+    fn picture<const N: usize, const M: usize>(
+        &self,
+        d: Vec3,
+        side: usize,
+        sent: impl Fn(usize, Vec3) -> [f32; M],
+        blend: impl Fn([f32; N], [f32; M], f32) -> [f32; N],
+    ) -> Picture<N> {
+        let (u, v) = plane_basis(d);
+        let low = [dot(self.centre, u) - self.radius, dot(self.centre, v) - self.radius];
+        let mut picture = Picture::new([u, v], low, 2.0 * self.radius / side as f32, side);
+        let mut nearest: Vec<(f32, usize)> =
+            self.occluders.iter().enumerate().map(|(k, (_, o))| (dot(o.mean, d), k)).collect();
+        nearest.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        for (_, k) in nearest {
+            let (i, occluder) = &self.occluders[k];
+            let Some(seen) = occluder.along(d, u, v) else { continue };
+            let of_gaussian = sent(*i, d);
+            picture.splat(&seen, [dot(occluder.mean, u), dot(occluder.mean, v)], |texel, alpha| {
+                blend(texel, of_gaussian, alpha)
+            });
+        }
+        picture
+    }
+}
+
+/// Texels along a side of the picture for a cell of light, whose shadow is no sharper than the cell is small: a texel is 0.3 of the
+/// width of the cell at the distance of the model's radius.
+fn side_for(solid_angle: f32) -> usize {
+    (2.0 / (0.3 * solid_angle.max(0.0).sqrt())).max(MIN_SIDE) as usize
+}
+
+/// A square picture of a model along one direction. The first value of a texel is the transmittance, the others are radiance.
+struct Picture<const N: usize> {
+    axes: [Vec3; 2],
+    /// Low corner in the plane of the axes.
+    low: [f32; 2],
+    /// Texels per unit of length.
+    per_unit: f32,
+    texel: f32,
+    side: usize,
+    texels: Vec<[f32; N]>,
+}
+
+impl<const N: usize> Picture<N> {
+    /// Nothing but light.
+    const EMPTY: [f32; N] = {
+        let mut empty = [0.0; N];
+        empty[0] = 1.0;
+        empty
+    };
+
+    fn new(axes: [Vec3; 2], low: [f32; 2], texel: f32, side: usize) -> Self {
+        Self { axes, low, per_unit: 1.0 / texel, texel, side, texels: vec![Self::EMPTY; side * side] }
+    }
+
+    /// Blends a footprint into the texels whose centres it covers.
+    fn splat(&mut self, seen: &Footprint, centre: [f32; 2], blend: impl Fn([f32; N], f32) -> [f32; N]) {
+        let offset = |k: usize, i: usize| self.low[k] + (i as f32 + 0.5) * self.texel - centre[k];
+        let reach = seen.extent()[1];
+        let mut alphas = [0.0f32; ROW];
+        for y in self.covered(1, centre[1] - reach, centre[1] + reach) {
+            let dy = offset(1, y);
+            let Some([from, to]) = seen.chord(dy) else { continue };
+            let columns = self.covered(0, centre[0] + from, centre[0] + to);
+            for first in columns.clone().step_by(ROW) {
+                let columns = first..columns.end.min(first + ROW);
+                let alphas = &mut alphas[..columns.len()];
+                row_alphas(seen, [offset(0, first), dy], self.texel, alphas);
+                let texels = &mut self.texels[y * self.side..][columns];
+                texels.iter_mut().zip(alphas).for_each(|(texel, alpha)| *texel = blend(*texel, *alpha));
+            }
+        }
+    }
+
+    /// The columns (`axis` 0) or rows whose centres lie from `from` to `to`.
+    fn covered(&self, axis: usize, from: f32, to: f32) -> std::ops::Range<usize> {
+        // Texel i has its centre at low + (i + 1/2) texel.
+        let place = |x: f32| (x - self.low[axis]) * self.per_unit - 0.5;
+        let (first, last) = (place(from).ceil().max(0.0) as usize, place(to).floor());
+        // NaN and places before the picture give no texel.
+        first..if last >= 0.0 { (last as usize + 1).min(self.side) } else { 0 }
+    }
+
+    /// The value where the ray from `point` along the direction meets the picture, bilinear; empty outside.
+    #[inline]
+    fn at(&self, point: Vec3) -> [f32; N] {
+        let [x, y] = std::array::from_fn(|k| (dot(point, self.axes[k]) - self.low[k]) * self.per_unit - 0.5);
+        let end = (self.side - 1) as f32;
+        // NaN is outside.
+        if !(x >= 0.0 && y >= 0.0 && x < end && y < end) {
+            return Self::EMPTY;
+        }
+        let (column, row) = (x as usize, y as usize);
+        let (fx, fy) = (x - column as f32, y - row as f32);
+        let at = row * self.side + column;
+        let [a, b] = [self.texels[at], self.texels[at + 1]];
+        let [c, d] = [self.texels[at + self.side], self.texels[at + self.side + 1]];
+        std::array::from_fn(|k| {
+            let (top, bottom) = (a[k] + fx * (b[k] - a[k]), c[k] + fx * (d[k] - c[k]));
+            top + fy * (bottom - top)
+        })
+    }
+}
+
+/// Alpha of a footprint at offsets from its centre, `step` apart along the row that begins at `first`.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
+fn row_alphas(seen: &Footprint, first: [f32; 2], step: f32, alphas: &mut [f32]) {
+    let ([a, b, c], [x, dy]) = (seen.conic, first);
+    let (opacity, reach) = (seen.opacity, seen.reach);
+    for (k, alpha) in alphas.iter_mut().enumerate() {
+        let dx = x + k as f32 * step;
+        let power = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy;
+        let positive = if power > 0.0 { power } else { 0.0 };
+        let value = opacity * exp_negative(-positive);
+        let limited = if value < ALPHA_MAX { value } else { ALPHA_MAX };
+        *alpha = if power <= reach { limited } else { 0.0 };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::cpu::OccluderBvh;
+    use crate::{ProbeSettings, fibonacci_sphere};
+    use relume_scene::{EnvMap, Gaussians, Model, ShadingOptions};
+
+    /// A ball of small opaque Gaussians around (0, 0, 1/2), and one below the plane.
+    fn ball() -> HostModel {
+        let mut g = Gaussians::zeroed(401, 1, 2, 0);
+        for i in 0..400 {
+            let d = fibonacci_sphere(400)[i];
+            g.row_mut(Field::Mean, i).copy_from_slice(&[0.4 * d[0], 0.4 * d[1], 0.5 + 0.4 * d[2]]);
+        }
+        g.row_mut(Field::Mean, 400).copy_from_slice(&[1.0, 0.0, -0.2]);
+        g.field_mut(Field::LogScale).fill(0.04f32.ln());
+        g.field_mut(Field::OpacityLogit).fill(4.0);
+        for i in 0..401 {
+            g.row_mut(Field::Quaternion, i)[0] = 1.0;
+            g.row_mut(Field::Visibility, i)[0] = relume_scene::light::UNOCCLUDED_SH0;
+        }
+        HostModel::new(Arc::new(Model::new(g, vec![[0.5; 3]], vec![[0.0; 3]; 8], (4, 2))))
+    }
+
+    fn points() -> Vec<Vec3> {
+        (0..400).map(|i| [(i % 20) as f32 * 0.1 - 0.95, (i / 20) as f32 * 0.1 - 0.95, 0.0]).collect()
+    }
+
+    #[test]
+    fn irradiance_of_a_direction_is_the_transmittance_of_rays() {
+        let model = ball();
+        let direction = glam::Vec3::new(0.5, 0.2, 0.7).normalize().to_array();
+        let cell = LightCell { direction, irradiance: [1.0, 2.0, 0.5], solid_angle: 1e-5 };
+        let found = model.ground(0.0).irradiance(&points(), &[cell], 512);
+        let options = ShadingOptions::default();
+        let source = model.source(&[], &[], &NO_INDIRECT_BASIS);
+        let source = crate::cpu::AttributeSource { options: &options, ..source };
+        let rays = OccluderBvh::new(
+            &source,
+            ProbeSettings { bias: 0.0, clearance: 0.0, ..ProbeSettings::default() },
+        );
+        let mut hidden = 0;
+        for (point, found) in points().iter().zip(&found) {
+            let left = rays.transmittance(*point, direction);
+            assert!((found[0] - left).abs() < 0.06, "{point:?}: {found:?} {left}");
+            assert_eq!((found[1], found[2]), (2.0 * found[0], 0.5 * found[0]));
+            hidden += usize::from(left < 0.1);
+        }
+        assert!((20..100).contains(&hidden), "the control: {hidden} points in shadow");
+    }
+
+    #[test]
+    fn points_near_the_model_see_less_sky_and_more_light_of_the_model() {
+        let model = Arc::new(ball());
+        let light = model.prepare_light(model.light_tables(&EnvMap::constant(16, 8, [1.0; 3]).into()));
+        let directions: Vec<Vec3> = fibonacci_sphere(256).into_iter().filter(|d| d[2] > 0.0).collect();
+        let near_and_far = [[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [3.0, 0.0, 0.0]];
+        let ground = model.ground(0.0);
+        let views = ground.views(&near_and_far, &directions, Some(&light), 128);
+        assert!(views[0].open < 0.6 && views[1].open > views[0].open && views[2].open > 0.98, "{views:?}");
+        assert!(views[0].radiance[0] > views[1].radiance[0] && views[1].radiance[0] > views[2].radiance[0]);
+        // A surface of albedo 1/2 sends less than half of the light of the sky.
+        assert!(views.iter().all(|view| view.radiance[0] <= 0.5 * (1.0 - view.open) + 1e-3), "{views:?}");
+        let dark = ground.views(&near_and_far, &directions, None, 128);
+        assert!(
+            dark.iter().zip(&views).all(|(dark, view)| dark.radiance == [0.0; 3] && dark.open == view.open)
+        );
+    }
+
+    #[test]
+    fn gaussians_below_the_plane_do_not_count() {
+        let model = ball();
+        let cell = LightCell { direction: [0.0, 0.0, 1.0], irradiance: [1.0; 3], solid_angle: 1e-5 };
+        let below = |height: f32| model.ground(height).irradiance(&[[1.0, 0.0, height]], &[cell], 256)[0][0];
+        assert_eq!(below(0.0), 1.0);
+        assert!(below(-0.5) < 0.2, "the control: {}", below(-0.5));
+        let empty = Model::new(Gaussians::zeroed(0, 1, 2, 0), vec![[0.5; 3]], vec![[0.0; 3]; 8], (4, 2));
+        let empty = HostModel::new(Arc::new(empty));
+        let found = empty.ground(0.0).irradiance(&[[f32::NAN; 3], [0.0; 3]], &[cell], 16);
+        assert_eq!(found, [[1.0; 3]; 2]);
+    }
+}

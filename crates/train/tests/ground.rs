@@ -1,0 +1,159 @@
+//! The ground below a model: its planes in frames, against a floor that belongs to the model and against simple facts.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+
+use relume_scene::{Camera, EnvMap, Model};
+use relume_spec::rendering::{Output, Quality, Tier};
+use relume_train::render::{Frame, Renderer};
+
+use crate::tiers::{sun, table};
+
+const SIZE: u32 = 64;
+const PLANES: [Output; 3] = [Output::Shadow, Output::Bounce, Output::Contact];
+
+/// The table, as a model of another scale and place in its capture.
+fn renderer() -> Renderer {
+    let model =
+        Model { world_scale: 0.5, world_offset: DVec3::new(0.0, 0.0, -3.0), ..Model::clone(&table()) };
+    Renderer::new(Arc::new(model))
+}
+
+fn camera(eye: DVec3, size: u32) -> Camera {
+    Camera::look_at(eye, DVec3::new(0.0, 0.0, 3.0), DVec3::Z, 0.9, (size, size)).unwrap()
+}
+
+fn above(size: u32) -> Camera {
+    camera(DVec3::new(4.0, -3.0, 8.0), size)
+}
+
+fn rendered(
+    renderer: &Renderer,
+    map: EnvMap,
+    camera: &Camera,
+    outputs: &[Output],
+    height: Option<f64>,
+) -> Frame {
+    let light = renderer.prepare_light(map).unwrap();
+    let mut bands =
+        renderer.bands(camera, &light, Quality::from(Tier::Standard), outputs).unwrap().on_ground(height);
+    while bands.render_next().unwrap() {}
+    bands.into_frame()
+}
+
+/// The mean of a plane.
+fn mean(frame: &Frame, output: Output) -> f64 {
+    let plane = &frame.planes[&output];
+    plane.iter().map(|v| f64::from(*v)).sum::<f64>() / plane.len() as f64
+}
+
+#[test]
+fn frames_with_ground_have_only_the_requested_planes() {
+    let renderer = renderer();
+    let outputs = [Output::Rgb, Output::Shadow, Output::Position];
+    let frame = rendered(&renderer, sun(), &above(SIZE), &outputs, None);
+    assert_eq!(
+        frame.planes.keys().copied().collect::<Vec<_>>(),
+        [Output::Rgb, Output::Alpha, Output::Position, Output::Shadow]
+    );
+    let plain = rendered(&renderer, sun(), &above(SIZE), &[Output::Rgb], None);
+    assert_eq!(
+        plain.planes[&Output::Rgb],
+        frame.planes[&Output::Rgb],
+        "the ground does not change the model"
+    );
+}
+
+#[test]
+fn sun_casts_a_shadow_that_an_even_sky_does_not_cast() {
+    let renderer = renderer();
+    let of = |map: EnvMap| rendered(&renderer, map, &above(SIZE), &PLANES, None);
+    let (sunny, even) = (of(sun()), of(EnvMap::constant(64, 32, [1.0; 3])));
+    let darkest = |frame: &Frame| frame.planes[&Output::Shadow].iter().copied().fold(1.0, f32::min);
+    assert!(darkest(&sunny) < 0.2, "{}", darkest(&sunny));
+    assert_eq!(
+        sunny.planes[&Output::Contact],
+        even.planes[&Output::Contact],
+        "contact is independent of the light"
+    );
+    // Under an even sky the shadow is the ambient occlusion, up to the choice of directions.
+    let apart: Vec<f32> = even.planes[&Output::Shadow]
+        .chunks_exact(3)
+        .zip(&even.planes[&Output::Contact])
+        .map(|(shadow, contact)| (shadow[0] - contact).abs())
+        .collect();
+    let worst = apart.iter().copied().fold(0.0, f32::max);
+    assert!(worst < 0.08, "{worst}");
+    for frame in [&sunny, &even] {
+        assert!(frame.planes[&Output::Shadow].iter().all(|v| (0.0..=1.0 + 1e-4).contains(v)));
+        assert!(
+            frame.planes[&Output::Bounce].iter().all(|v| *v >= 0.0) && mean(frame, Output::Bounce) > 1e-4
+        );
+    }
+}
+
+#[test]
+fn dark_light_casts_no_shadow() {
+    let frame = rendered(&renderer(), EnvMap::constant(64, 32, [0.0; 3]), &above(SIZE), &PLANES, None);
+    assert!(frame.planes[&Output::Shadow].iter().all(|v| *v == 1.0));
+    assert!(frame.planes[&Output::Bounce].iter().all(|v| *v == 0.0));
+    assert!(mean(&frame, Output::Contact) < 0.999, "the control");
+}
+
+#[test]
+fn camera_below_the_ground_sees_no_ground() {
+    let renderer = renderer();
+    let below = camera(DVec3::new(4.0, -3.0, 2.5), SIZE);
+    let frame = rendered(&renderer, sun(), &below, &PLANES, None);
+    assert!(
+        PLANES
+            .iter()
+            .all(|o| frame.planes[o].iter().all(|v| *v == f32::from(u8::from(*o != Output::Bounce))))
+    );
+    let seen = rendered(&renderer, sun(), &below, &PLANES, Some(1.0));
+    assert!(mean(&seen, Output::Contact) < 0.999, "the control: a ground below the camera");
+}
+
+#[test]
+fn large_frames_interpolate_the_ground() {
+    let renderer = renderer();
+    let of = |size| {
+        rendered(&renderer, EnvMap::constant(64, 32, [1.0; 3]), &above(size), &[Output::Contact], None)
+    };
+    let (small, large) = (of(256), of(1024));
+    let apart = (0..256 * 256).map(|i| {
+        let (x, y) = (i % 256, i / 256);
+        let pixels = [(1, 1), (2, 1), (1, 2), (2, 2)].map(|(dx, dy)| (4 * y + dy) * 1024 + 4 * x + dx);
+        let mean = pixels.iter().map(|p| large.planes[&Output::Contact][*p]).sum::<f32>() / 4.0;
+        f64::from((mean - small.planes[&Output::Contact][i]).abs())
+    });
+    let apart = apart.sum::<f64>() / (256.0 * 256.0);
+    assert!(apart < 0.01, "{apart}");
+    assert!(mean(&small, Output::Contact) < 0.99, "the control");
+}
+
+#[test]
+fn position_is_the_depth_along_the_pixel() {
+    let camera = above(SIZE);
+    let frame = rendered(&renderer(), sun(), &camera, &[Output::Position, Output::Depth], None);
+    let (points, depths) = (&frame.planes[&Output::Position], &frame.planes[&Output::Depth]);
+    let mut covered = 0;
+    for (i, (point, depth)) in points.chunks_exact(3).zip(depths).enumerate() {
+        if !depth.is_finite() {
+            assert_eq!(point, [0.0; 3]);
+            continue;
+        }
+        covered += 1;
+        let seen = camera.rotation * DVec3::new(point[0].into(), point[1].into(), point[2].into())
+            + camera.translation;
+        let pixel = [camera.fx * seen.x / seen.z + camera.cx, camera.fy * seen.y / seen.z + camera.cy];
+        let wanted = [(i as u32 % SIZE) as f64 + 0.5, (i as u32 / SIZE) as f64 + 0.5];
+        assert!((seen.z - f64::from(*depth)).abs() < 1e-3, "{seen} {depth}");
+        assert!(
+            (pixel[0] - wanted[0]).abs() < 1e-2 && (pixel[1] - wanted[1]).abs() < 1e-2,
+            "{pixel:?} {wanted:?}"
+        );
+    }
+    assert!(covered > 100);
+}
