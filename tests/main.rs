@@ -22,6 +22,7 @@ mod fetching;
 #[cfg(target_os = "linux")]
 mod full_disk;
 mod fuzz;
+mod ground;
 mod hostile;
 mod job_machine;
 mod kills;

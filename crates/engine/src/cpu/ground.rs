@@ -3,6 +3,7 @@
 //! Each direction of light has a picture: the model as the plane sees it along the direction, orthographic. All points of the plane read
 //! the same pictures.
 
+use glam::DVec3;
 use multiversion::multiversion;
 use rayon::prelude::*;
 
@@ -24,8 +25,12 @@ const DEFAULT_RADIUS: f32 = 1.2;
 const MIN_SIDE: f32 = 64.0;
 /// Texels of a row that are computed together.
 const ROW: usize = 64;
-/// Margin around the ball of the opaque Gaussians.
-const MARGIN: f32 = 1.1;
+/// Share of the occluders that the pictures contain completely.
+const WITHIN: f32 = 0.995;
+/// Standard deviations up to which an occluder is in the pictures.
+const EDGE: f32 = 3.0;
+/// Greatest deviation that counts, radii of the ball.
+const MAX_DEVIATION: f32 = 0.1;
 
 /// The Gaussians of a model above a horizontal plane, as occluders of its light.
 pub struct Ground {
@@ -47,14 +52,30 @@ pub struct GroundView {
 impl HostModel {
     /// The model above the plane z = `height`, normalised world.
     pub fn ground(&self, height: f32) -> Ground {
-        let gaussians = &self.model().gaussians;
-        let centre = opaque_centre(gaussians, glam::DVec3::ZERO, REACH).unwrap_or_default();
-        let radius = opaque_radius(gaussians, centre, REACH).map_or(DEFAULT_RADIUS, |r| r as f32 * MARGIN);
         let source = self.source(&[], &[], &NO_INDIRECT_BASIS);
         let above = |(_, o): &(usize, Occluder)| o.occludes() && o.mean[2] > height;
-        let occluders = occluders(&source).into_iter().enumerate().filter(above).collect();
-        Ground { occluders, centre: centre.to_array().map(|v| v as f32), radius }
+        let occluders: Vec<_> = occluders(&source).into_iter().enumerate().filter(above).collect();
+        let gaussians = &self.model().gaussians;
+        let centre = opaque_centre(gaussians, DVec3::ZERO, REACH).unwrap_or_default();
+        let ball = opaque_radius(gaussians, centre, REACH).map_or(DEFAULT_RADIUS, |radius| radius as f32);
+        let centre = centre.to_array().map(|v| v as f32);
+        let radius = reach(&occluders, centre, ball);
+        Ground { occluders, centre, radius }
     }
+}
+
+/// Radius around `centre` that contains nearly all of the occluders whose means lie in a ball, to [`EDGE`] of their deviations.
+fn reach(occluders: &[(usize, Occluder)], centre: Vec3, ball: f32) -> f32 {
+    let far = |(_, o): &(usize, Occluder)| {
+        let offset: Vec3 = std::array::from_fn(|k| o.mean[k] - centre[k]);
+        let distance = dot(offset, offset).sqrt();
+        let widest = o.axes.iter().map(|axis| dot(*axis, *axis)).fold(0.0, f32::max).sqrt();
+        (distance <= ball).then(|| distance + EDGE * widest.min(MAX_DEVIATION * ball))
+    };
+    let mut reaches: Vec<f32> = occluders.iter().filter_map(far).collect();
+    reaches.sort_unstable_by(f32::total_cmp);
+    let last = (reaches.len() as f32 * WITHIN) as usize;
+    reaches.get(last.min(reaches.len().saturating_sub(1))).map_or(ball, |reach| *reach)
 }
 
 impl Ground {
@@ -248,17 +269,16 @@ mod tests {
     use crate::{ProbeSettings, fibonacci_sphere};
     use relume_scene::{EnvMap, Gaussians, Model, ShadingOptions};
 
-    /// A ball of small opaque Gaussians around (0, 0, 1/2), and one below the plane.
+    /// A ball of small opaque Gaussians around (0, 0, 1/2).
     fn ball() -> HostModel {
-        let mut g = Gaussians::zeroed(401, 1, 2, 0);
+        let mut g = Gaussians::zeroed(400, 1, 2, 0);
         for i in 0..400 {
             let d = fibonacci_sphere(400)[i];
             g.row_mut(Field::Mean, i).copy_from_slice(&[0.4 * d[0], 0.4 * d[1], 0.5 + 0.4 * d[2]]);
         }
-        g.row_mut(Field::Mean, 400).copy_from_slice(&[1.0, 0.0, -0.2]);
         g.field_mut(Field::LogScale).fill(0.04f32.ln());
         g.field_mut(Field::OpacityLogit).fill(4.0);
-        for i in 0..401 {
+        for i in 0..400 {
             g.row_mut(Field::Quaternion, i)[0] = 1.0;
             g.row_mut(Field::Visibility, i)[0] = relume_scene::light::UNOCCLUDED_SH0;
         }
@@ -314,9 +334,9 @@ mod tests {
     fn gaussians_below_the_plane_do_not_count() {
         let model = ball();
         let cell = LightCell { direction: [0.0, 0.0, 1.0], irradiance: [1.0; 3], solid_angle: 1e-5 };
-        let below = |height: f32| model.ground(height).irradiance(&[[1.0, 0.0, height]], &[cell], 256)[0][0];
-        assert_eq!(below(0.0), 1.0);
-        assert!(below(-0.5) < 0.2, "the control: {}", below(-0.5));
+        let above = |height: f32| model.ground(height).irradiance(&[[0.0, 0.0, height]], &[cell], 256)[0][0];
+        assert_eq!(above(1.1), 1.0);
+        assert!(above(0.0) < 0.2, "the control: {}", above(0.0));
         let empty = Model::new(Gaussians::zeroed(0, 1, 2, 0), vec![[0.5; 3]], vec![[0.0; 3]; 8], (4, 2));
         let empty = HostModel::new(Arc::new(empty));
         let found = empty.ground(0.0).irradiance(&[[f32::NAN; 3], [0.0; 3]], &[cell], 16);

@@ -219,7 +219,7 @@ mod tests {
 
     #[test]
     fn light_below_the_horizon_has_no_cells() {
-        let below = EnvMap::from_fn(64, 32, |d| if d.z < 0.0 { [5.0; 3] } else { [0.0; 3] });
+        let below = EnvMap::from_fn(256, 128, |d| if d.z < 0.0 { [5.0; 3] } else { [0.0; 3] });
         assert!(light_cells(&below.into(), 64).is_empty());
     }
 

@@ -1,0 +1,111 @@
+//! The ground below a model: outputs of `relume render` and of the service.
+
+use std::path::Path;
+use std::process::{Command, Output as Ended};
+
+use relume::testing;
+use relume_api::renders::RenderRequest;
+use relume_capture::formats::{image_file, model_file};
+use relume_client::ClientError;
+use relume_spec::rendering::{FrameFormat, Output};
+use tempfile::TempDir;
+
+use crate::service::look_at;
+use crate::service_support::trained;
+
+fn relume(folder: &Path, arguments: &[&str]) -> Ended {
+    let fixed = ["render", "m.safetensors", "--env", "sunset", "--size", "48", "--device", "cpu"];
+    Command::new(env!("CARGO_BIN_EXE_relume"))
+        .current_dir(folder)
+        .args(fixed)
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+/// The red values of the picture of an output.
+fn picture(folder: &Path, arguments: &[&str]) -> Vec<f32> {
+    let ended = relume(folder, &[arguments, &["--elevation", "40", "--out", "o.png"]].concat());
+    assert!(ended.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&ended.stderr));
+    let image = image_file::decode(&std::fs::read(folder.join("o.png")).unwrap(), 48 * 48).unwrap();
+    image.pixels.iter().map(|pixel| pixel[0]).collect()
+}
+
+#[test]
+fn render_writes_the_planes_of_the_ground() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let model = relume_fixtures::model::model(300, 5);
+    std::fs::write(at.join("m.safetensors"), model_file::encode(&model).unwrap()).unwrap();
+    for output in ["shadow", "contact"] {
+        let near = picture(at, &["--output", output]);
+        let darkest = near.iter().copied().fold(1.0, f32::min);
+        assert!(darkest < 0.9, "{output}: {darkest}");
+        let far = picture(at, &["--output", output, "--ground-height", "-50"]);
+        let of_far = far.iter().copied().fold(1.0, f32::min);
+        assert!(of_far > darkest, "the control, a ground far below: {output}: {of_far} {darkest}");
+    }
+    assert!(picture(at, &["--output", "bounce"]).iter().any(|v| *v > 0.01));
+
+    let outputs = ["--output", "rgb,position,shadow,bounce,contact", "--out", "o.exr"];
+    assert!(relume(at, &outputs).status.success());
+    let text = String::from_utf8_lossy(&std::fs::read(at.join("o.exr")).unwrap()).into_owned();
+    for channel in ["P.X", "shadow.R", "bounce.B", "contact.Y"] {
+        assert!(text.contains(channel), "{channel}");
+    }
+    assert!(!text.contains("depth"), "only the requested outputs");
+}
+
+#[test]
+fn render_refuses_a_ground_that_no_output_shows() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    std::fs::write(
+        at.join("m.safetensors"),
+        model_file::encode(&relume_fixtures::model::model(50, 5)).unwrap(),
+    )
+    .unwrap();
+    for (arguments, named) in [
+        (&["--ground-height", "0.5"][..], "--ground-height"),
+        (&["--ground-height", "nan", "--output", "shadow"], "ground-height"),
+        (&["--output", "position", "--out", "o.png"], "position"),
+        (&["--light-matrix", "8", "--ground-height", "0", "--out", "o.exr"], "--ground-height"),
+    ] {
+        let ended = relume(at, arguments);
+        let said = String::from_utf8_lossy(&ended.stderr).into_owned();
+        assert!(!ended.status.success() && said.contains(named), "{arguments:?}: {said}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn service_renders_the_ground_and_names_wrong_heights() {
+    let server = testing::spawn().await.unwrap();
+    let client = server.client();
+    let model = trained(client).await.model.unwrap();
+    let request = |outputs: &[Output], ground_height| RenderRequest {
+        camera: look_at(),
+        width: 24,
+        height: 16,
+        outputs: outputs.to_vec(),
+        ground_height,
+        ..RenderRequest::default()
+    };
+    let of = async |request: RenderRequest, format| client.render(&model, &request, format).await;
+    let near = of(request(&[Output::Contact], None), FrameFormat::Png).await.unwrap();
+    let far = of(request(&[Output::Contact], Some(-50.0)), FrameFormat::Png).await.unwrap();
+    assert_ne!(near, far);
+    let exr =
+        of(request(&[Output::Rgb, Output::Shadow, Output::Position], None), FrameFormat::Exr).await.unwrap();
+    assert!(String::from_utf8_lossy(&exr).contains("shadow.G"));
+    for (request, pointer) in [
+        (request(&[Output::Rgb], Some(0.0)), "/ground_height"),
+        (request(&[Output::Position], None), "/outputs"),
+    ] {
+        match of(request, FrameFormat::Png).await {
+            Err(ClientError::Problem(problem)) => {
+                assert_eq!((problem.status, problem.errors[0].pointer.as_str()), (422, pointer));
+            }
+            other => panic!("{pointer}: {other:?}"),
+        }
+    }
+}
