@@ -3,7 +3,8 @@
 DATA has scenes/NAME with path-traced ground truth and envmaps/LIGHT.hdr. MODELS has NAME.safetensors for each scene, as
 `relume train DATA/scenes/NAME --preset draft --resolution 200 --set max_gaussians=16000 --seed 0 --out MODELS/NAME.safetensors` writes it, and demo.safetensors, the model of `relume demo`.
 OUT receives, for each scene, NAME-turntable.webp (the camera turns), NAME-light.webp (the light turns) and NAME-truth.webp (path-traced and relit pictures of one
-test view under lights that the training did not see); and materials.webp, the demonstration with changed materials.
+test view under lights that the training did not see); materials.webp, the demonstration with changed materials; plates.webp and shadow.webp, the drape
+on a floor under a sun; and lamps.webp, models under lamps.
 """
 
 import pathlib
@@ -21,7 +22,7 @@ VIEW, VIEW_SIZE = 4, 256
 QUALITY = 82
 # Changes of materials of the demonstration, and the material whose mask is shown.
 RECOLOUR, MASK = "2=#2244cc,2.roughness=0.1,3.metalness=1", 2
-PAPER, INK = (244, 244, 244), (40, 40, 40)
+PAPER, INK, FLOOR = (244, 244, 244), (40, 40, 40), (196, 192, 184)
 
 
 def render(relume, model, out, *options):
@@ -77,6 +78,51 @@ def materials(relume, model, file):
     sheet.save(file, quality=QUALITY + 6, method=6)
 
 
+def on_floor(model, shadow):
+    """The picture of a model over an even floor, which its shadow multiplies in display values."""
+    floor = ImageChops.multiply(Image.new("RGB", model.size, FLOOR), shadow.convert("RGB"))
+    return Image.alpha_composite(floor.convert("RGBA"), model.convert("RGBA")).convert("RGB")
+
+
+def plates(relume, model, sun, out):
+    """A model, its shadow plate, and both over a floor; and a moving picture of the latter under a turning sun."""
+    common = ["--env", sun, "--elevation", 30]
+    with tempfile.TemporaryDirectory() as folder:
+        for output in ("rgb", "shadow"):
+            render(relume, model, f"{folder}/{output}.png", *common, "--size", VIEW_SIZE, "--output", output)
+            turning = ["--turntable", FRAMES, "--camera-turn", 0, "--env-turn", 360]
+            render(relume, model, f"{folder}/{output}-%03d.png", *common, "--size", SIZE, "--output", output, *turning)
+        alone, shadow = (Image.open(f"{folder}/{output}.png") for output in ("rgb", "shadow"))
+        sheet = Image.new("RGB", (3 * VIEW_SIZE, VIEW_SIZE), PAPER)
+        for column, picture in enumerate((on_paper(alone), shadow.convert("RGB"), on_floor(alone, shadow))):
+            sheet.paste(picture, (column * VIEW_SIZE, 0))
+        sheet.save(out / "plates.webp", quality=QUALITY + 6, method=6)
+        paths = [sorted(pathlib.Path(folder).glob(f"{output}-*.png")) for output in ("rgb", "shadow")]
+        frames = [on_floor(Image.open(a), Image.open(b)) for a, b in zip(*paths, strict=True)]
+    frames[0].save(out / "shadow.webp", save_all=True, append_images=frames[1:], duration=MILLISECONDS, loop=0, quality=QUALITY, method=6)
+
+
+def lamps(relume, models, file):
+    """The drape under two lamps alone and under a spot, and the helmet under two bulbs."""
+    bulb = "point position=1,0.5,1 radius=0.08 intensity=4 kelvin=2700"
+    box = "rectangle position=-1.5,-1,0.8 target=0,0,0 size=0.8,0.4 intensity=5 kelvin=7000"
+    spot = "spot position=0.8,0.4,1.6 target=0.2,0.1,0.2 cone=25 radius=0.05 intensity=12 kelvin=3000"
+    red, blue = "point position=1.2,-1,0.5 intensity=4 colour=#ff5020", "point position=-1,-1,0.8 intensity=4 colour=#2060ff"
+    pictures = [
+        ("drape", 40, ["--env", "white", "--exposure", -20, "--lamp", bulb, "--lamp", box]),
+        ("drape", 40, ["--env", "night", "--lamp", spot]),
+        ("helmet", 20, ["--env", "night", "--lamp", red, "--lamp", blue]),
+    ]
+    sheet = Image.new("RGB", (VIEW_SIZE * len(pictures), VIEW_SIZE), INK)
+    with tempfile.TemporaryDirectory() as folder:
+        for column, (model, azimuth, options) in enumerate(pictures):
+            common = ["--azimuth", azimuth, "--elevation", 28, "--size", VIEW_SIZE]
+            render(relume, models / f"{model}.safetensors", f"{folder}/o.png", *common, *options)
+            picture = Image.open(f"{folder}/o.png").convert("RGBA")
+            sheet.paste(picture, (column * VIEW_SIZE, 0), picture)
+    sheet.save(file, quality=QUALITY + 6, method=6)
+
+
 def main():
     data, models, out, relume = (pathlib.Path(argument).resolve() for argument in sys.argv[1:5])
     out.mkdir(parents=True, exist_ok=True)
@@ -86,6 +132,8 @@ def main():
         animation(relume, model, out / f"{scene}-light.webp", "--env", turning, "--camera-turn", 0, "--env-turn", 360)
         truth(relume, data, scene, model, out / f"{scene}-truth.webp")
     materials(relume, models / "demo.safetensors", out / "materials.webp")
+    lamps(relume, models, out / "lamps.webp")
+    plates(relume, models / "drape.safetensors", data / "envmaps" / "noon.hdr", out)
     for path in sorted(out.glob("*.webp")):
         print(f"{path.name}: {path.stat().st_size // 1000} kB")
 

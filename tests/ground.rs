@@ -1,4 +1,4 @@
-//! The ground below a model: outputs of `relume render` and of the service.
+//! The ground below a model, and lamps: outputs of `relume render` and of the service.
 
 use std::path::Path;
 use std::process::{Command, Output as Ended};
@@ -7,7 +7,7 @@ use relume::testing;
 use relume_api::renders::RenderRequest;
 use relume_capture::formats::{image_file, model_file};
 use relume_client::ClientError;
-use relume_spec::rendering::{FrameFormat, Output};
+use relume_spec::rendering::{FrameFormat, Lamp, Output};
 use tempfile::TempDir;
 
 use crate::service::look_at;
@@ -57,6 +57,26 @@ fn render_writes_the_planes_of_the_ground() {
 }
 
 #[test]
+fn lamps_light_the_side_that_faces_them() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let model = relume_fixtures::model::model(300, 5);
+    std::fs::write(at.join("m.safetensors"), model_file::encode(&model).unwrap()).unwrap();
+    let brightness =
+        |options: &[&str]| picture(at, &[&["--exposure", "-20"], options].concat()).iter().sum::<f32>();
+    let lamp = |intensity: f32, tier: &str| {
+        let lamp = format!("point position=0,0,3 intensity={intensity}");
+        brightness(&["--tier", tier, "--lamp", &lamp])
+    };
+    let dark = brightness(&[]);
+    assert!(dark < 1.0, "{dark}");
+    for tier in ["standard", "high"] {
+        let (one, two) = (lamp(2.0, tier), lamp(8.0, tier));
+        assert!(one > dark + 10.0 && two > one * 1.2, "{tier}: {dark} {one} {two}");
+    }
+}
+
+#[test]
 fn render_refuses_a_ground_that_no_output_shows() {
     let folder = TempDir::new().unwrap();
     let at = folder.path();
@@ -67,6 +87,8 @@ fn render_refuses_a_ground_that_no_output_shows() {
     .unwrap();
     for (arguments, named) in [
         (&["--ground-height", "0.5"][..], "--ground-height"),
+        (&["--lamp", "point position=0,0,1"], "intensity"),
+        (&["--light-matrix", "8", "--lamp", "point position=0,0,1 intensity=1", "--out", "o.exr"], "--lamp"),
         (&["--ground-height", "nan", "--output", "shadow"], "ground-height"),
         (&["--output", "position", "--out", "o.png"], "position"),
         (&["--light-matrix", "8", "--ground-height", "0", "--out", "o.exr"], "--ground-height"),
@@ -78,7 +100,7 @@ fn render_refuses_a_ground_that_no_output_shows() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn service_renders_the_ground_and_names_wrong_heights() {
+async fn service_renders_ground_and_lamps_and_names_faults() {
     let server = testing::spawn().await.unwrap();
     let client = server.client();
     let model = trained(client).await.model.unwrap();
@@ -97,7 +119,19 @@ async fn service_renders_the_ground_and_names_wrong_heights() {
     let exr =
         of(request(&[Output::Rgb, Output::Shadow, Output::Position], None), FrameFormat::Exr).await.unwrap();
     assert!(String::from_utf8_lossy(&exr).contains("shadow.G"));
+    let lamp = |text: &str| -> Lamp { text.parse().unwrap() };
+    let lit = |lamps| RenderRequest { lamps, ..request(&[Output::Rgb], None) };
+    let bulb = lamp("point position=2,1,2 intensity=30 kelvin=3200");
+    let [dark, bright] = [Vec::new(), vec![bulb.clone()]].map(lit);
+    assert_ne!(
+        of(dark, FrameFormat::Png).await.unwrap(),
+        of(bright, FrameFormat::Png).await.unwrap(),
+        "a lamp changes the picture"
+    );
+    let wrong = Lamp { intensity: Some(-1.0), ..bulb.clone() };
     for (request, pointer) in [
+        (lit(vec![bulb.clone(), wrong]), "/lamps/1/intensity"),
+        (lit(vec![bulb; 17]), "/lamps"),
         (request(&[Output::Rgb], Some(0.0)), "/ground_height"),
         (request(&[Output::Position], None), "/outputs"),
     ] {

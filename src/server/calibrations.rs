@@ -171,6 +171,7 @@ async fn albedo(
         quality: Tier::Standard.into(),
         outputs: vec![Output::Albedo],
         ground_height: None,
+        lamps: Vec::new(),
     };
     let _memory = app.memory.reserve(frame_bytes(task.pixels(), &task.outputs)).await?;
     Ok(patch_albedo(&app.device.render(task).await?.answer))

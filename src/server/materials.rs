@@ -113,6 +113,7 @@ async fn material_mask(
         quality: Tier::Standard.into(),
         outputs: vec![Output::Albedo],
         ground_height: None,
+        lamps: Vec::new(),
     };
     let picture = renders::render_frame(&app, task, FrameFormat::Png, EncodeOptions::default()).await?;
     Ok(renders::respond(picture, FrameFormat::Png))

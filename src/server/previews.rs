@@ -138,6 +138,7 @@ fn task(id: &JobId, preview: &Preview, orbit: Orbit) -> RenderTask {
         quality: tier.into(),
         outputs: vec![output],
         ground_height: None,
+        lamps: Vec::new(),
     }
 }
 

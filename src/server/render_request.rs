@@ -3,7 +3,7 @@
 use crate::server::problem::Problem;
 use relume_api::renders::RenderRequest;
 use relume_scene::Camera;
-use relume_spec::rendering::{FrameFormat, Output, Quality, Tier, is_colour};
+use relume_spec::rendering::{FrameFormat, Lamp, MAX_LAMPS, Output, Quality, Tier, is_colour};
 use relume_train::render::{EncodeOptions, Orbit, RenderError};
 
 /// Maximum side of a frame, pixels.
@@ -66,6 +66,18 @@ pub(super) fn check_ground(height: Option<f64>, outputs: &[Output]) -> Result<()
             refuse("applies to the outputs shadow, bounce and contact; add one of them to outputs")
         }
         _ => Ok(()),
+    }
+}
+
+/// Refuses too many lamps, and the first invalid one.
+pub(super) fn check_lamps(lamps: &[Lamp]) -> Result<(), Problem> {
+    if lamps.len() > MAX_LAMPS {
+        let detail = format!("must have at most {MAX_LAMPS} entries, got {}", lamps.len());
+        return Err(Problem::invalid_field("/lamps", detail));
+    }
+    match lamps.iter().enumerate().find_map(|(i, lamp)| Some((i, lamp.fault()?))) {
+        Some((i, (field, reason))) => Err(Problem::invalid_field(format!("/lamps/{i}/{field}"), reason)),
+        None => Ok(()),
     }
 }
 

@@ -67,6 +67,7 @@ async fn render(
     render_request::check_outputs(&request.outputs, format)?;
     let encoding = render_request::finish(&request, format)?;
     render_request::check_ground(request.ground_height, &request.outputs)?;
+    render_request::check_lamps(&request.lamps)?;
     let camera = camera(&request)?;
     let (size, on_gpu) = ((request.width, request.height), app.device.has_gpu());
     let quality = quality(request.tier, request.samples, request.seed, size, on_gpu)?;
@@ -84,6 +85,7 @@ async fn render(
         quality,
         outputs: request.outputs,
         ground_height: request.ground_height,
+        lamps: request.lamps,
     };
     let encoding = EncodeOptions { frame_metadata: notes(&task, Some(camera)), ..encoding };
     let views = models::photographed_views(&app, &caller.tenant, &id).await?;

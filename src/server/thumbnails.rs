@@ -111,6 +111,7 @@ async fn thumbnail(
             quality: tier.into(),
             outputs,
             ground_height: None,
+            lamps: Vec::new(),
         };
         let picture = ThumbnailRequest { tenant: &caller.tenant, digest: &digest, format };
         found_or_rendered(&app, task, encoding, &picture).await?

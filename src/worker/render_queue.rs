@@ -166,6 +166,7 @@ mod tests {
             quality: tier.into(),
             outputs: vec![Output::Rgb],
             ground_height: None,
+            lamps: Vec::new(),
         }
     }
 

@@ -12,8 +12,8 @@ use crate::models::FileView;
 use crate::renders::EnvironmentSpec;
 use crate::{ExportId, ModelId, NerfstudioWorld};
 use relume_spec::rendering::{
-    AlphaMode, Background, ColourDepth, ExportedColour, FrameFormat, MAX_BAKED_DEGREE, MaterialEdit, Output,
-    Primaries, Tier, ToneCurve,
+    AlphaMode, Background, ColourDepth, ExportedColour, FrameFormat, Lamp, MAX_BAKED_DEGREE, MaterialEdit,
+    Output, Primaries, Tier, ToneCurve,
 };
 
 /// An export to create. `kind` selects one of the four forms.
@@ -128,6 +128,10 @@ pub struct FramesExport {
     /// Light. Omitted: the light of the capture. `inline_base64` is not accepted.
     #[serde(default)]
     pub environment: EnvironmentSpec,
+    /// Lamps beside the environment, at most 16. `environment.exposure_ev` does not change them. Omitted: none.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    #[schema(max_items = 16)]
+    pub lamps: Vec<Lamp>,
     /// Rotation of the light from the first frame to one frame after the last, added to
     /// `environment.rotation_deg`, degrees counter-clockwise seen from above. Omitted: 0.
     #[serde(default)]

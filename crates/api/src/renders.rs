@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::EnvironmentId;
 use crate::cameras::CameraSpec;
-use relume_spec::rendering::{Background, ColourDepth, MaterialEdit, Output, Tier, ToneCurve};
+use relume_spec::rendering::{Background, ColourDepth, Lamp, MaterialEdit, Output, Tier, ToneCurve};
 
 /// A render request.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -15,6 +15,10 @@ pub struct RenderRequest {
     /// Light. Omitted: the recovered light of the capture.
     #[serde(default)]
     pub environment: EnvironmentSpec,
+    /// Lamps beside the environment, at most 16. `environment.exposure_ev` does not change them. Omitted: none.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    #[schema(max_items = 16)]
+    pub lamps: Vec<Lamp>,
     /// Changes of materials for this picture, at most 1,000; later ones follow earlier ones. The model stays. Omitted: none.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     #[schema(max_items = 1000)]

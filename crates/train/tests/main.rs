@@ -7,6 +7,7 @@ mod exposures;
 mod gpu;
 mod gpu_rays;
 mod ground;
+mod lamps;
 mod light_groups;
 mod light_matrix;
 mod lights;

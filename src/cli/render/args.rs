@@ -8,7 +8,9 @@ use crate::cli::material_args::MaterialArgs;
 use relume_engine::DeviceChoice;
 use relume_scene::Model;
 use relume_scene::light::MAX_LOBES;
-use relume_spec::rendering::{AlphaMode, Background, ColourDepth, Output, Primaries, ToneCurve};
+use relume_spec::rendering::{
+    AlphaMode, Background, ColourDepth, Lamp, MAX_LAMPS, Output, Primaries, ToneCurve,
+};
 
 /// Options of `relume render`.
 #[derive(Debug, clap::Args)]
@@ -25,6 +27,11 @@ pub(in crate::cli) struct RenderArgs {
     /// Exposure of the light, and therefore of the image, stops, -20 to 20.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = up_to::<20>)]
     pub(super) exposure: f64,
+    /// A lamp beside the light of `--env`; repeat the option for more (at most 16). The shape (`point`, `spot`, `disc` or `rectangle`), then
+    /// `position=X,Y,Z`, `target=X,Y,Z`, `radius=R` or `size=W,H` in units of the capture, `cone=DEG`, `kelvin=K` or `colour=#RRGGBB`, and
+    /// one of `intensity=I`, `candela=CD` and `lumen=LM`: "spot position=2,1,2 target=0,0,0 intensity=20 kelvin=3200".
+    #[arg(long = "lamp", value_name = "LAMP")]
+    lamps: Vec<Lamp>,
     #[command(flatten)]
     pub(super) materials: MaterialArgs,
     #[command(flatten)]
@@ -69,6 +76,14 @@ pub(in crate::cli) struct RenderArgs {
 }
 
 impl RenderArgs {
+    /// The lamps.
+    pub(super) fn lamps(&self) -> Result<Vec<Lamp>, String> {
+        match self.lamps.len() {
+            0..=MAX_LAMPS => Ok(self.lamps.clone()),
+            more => Err(format!("--lamp: a picture has at most {MAX_LAMPS} lamps, got {more}")),
+        }
+    }
+
     /// The requested outputs. Refuses outputs that `model` does not have.
     pub(super) fn outputs(&self, model: &Model) -> Result<Vec<Output>, String> {
         use Output::{Alpha, Contact, Depth, Normal, Position, Radiance, Rgb};

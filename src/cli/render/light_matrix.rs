@@ -74,6 +74,7 @@ fn check(args: &RenderArgs, format: FrameFormat) -> Result<(), String> {
             args.primaries.is_some_and(|primaries| primaries != Primaries::Rec709),
             "--primaries: weights multiply channels of Rec.709; convert to other primaries after the sum",
         ),
+        (!args.lamps()?.is_empty(), "--lamp: a light matrix contains the environment alone"),
         (args.ground_height.is_some(), "--ground-height: a light matrix does not contain the ground"),
         (args.exposure != 0.0, "--exposure: multiply the weights instead"),
         (args.rotation != 0.0 && args.env.is_none(), "--rotation: turns the lights of --env; add --env"),

@@ -9,7 +9,7 @@ use crate::cli::input;
 use crate::cli::light::illumination;
 use relume_engine::Device;
 use relume_scene::{Illumination, Model};
-use relume_spec::rendering::{Background, FrameFormat, Output, Quality, Tier};
+use relume_spec::rendering::{Background, FrameFormat, Lamp, Output, Quality, Tier};
 use relume_train::render::{EncodeOptions, FrameMetadata, FrameView, Renderer, RotatedLight, encode_frame};
 
 /// A model and a light, ready for rendering.
@@ -20,6 +20,7 @@ pub(super) struct RenderSession {
     quality: Quality,
     outputs: Vec<Output>,
     ground_height: Option<f64>,
+    lamps: Vec<Lamp>,
     format: FrameFormat,
     /// All encoding options except the camera and the rotation of the light.
     encoding: EncodeOptions,
@@ -54,7 +55,16 @@ impl RenderSession {
         let light = illumination(env, &model)?;
         let light = light.rotated_and_scaled(0.0, args.exposure.exp2() as f32);
         let renderer = Renderer::on(model, &Device::open(args.device)?)?;
-        Ok(Self { renderer, light, quality, outputs, ground_height: args.ground_height, format, encoding })
+        Ok(Self {
+            renderer,
+            light,
+            quality,
+            outputs,
+            ground_height: args.ground_height,
+            lamps: args.lamps()?,
+            format,
+            encoding,
+        })
     }
 
     pub(super) fn model(&self) -> &Model {
@@ -68,7 +78,7 @@ impl RenderSession {
         let light = light.at(&self.renderer, &self.light, rotation_deg)?;
         let FrameView { camera, .. } = view;
         let bands = self.renderer.bands(camera, light, self.quality, &self.outputs)?;
-        let mut bands = bands.on_ground(self.ground_height);
+        let mut bands = bands.on_ground(self.ground_height).with_lamps(self.lamps.clone());
         while bands.render_next()? {}
         let mut frame = bands.into_frame();
         if self.encoding.background == Background::Environment {

@@ -7,7 +7,9 @@ use crate::server::app::AppState;
 use crate::server::exports::light::light;
 use crate::server::exports::video;
 use crate::server::problem::Problem;
-use crate::server::render_request::{check_finish, check_ground, check_outputs, check_sides, quality};
+use crate::server::render_request::{
+    check_finish, check_ground, check_lamps, check_outputs, check_sides, quality,
+};
 use crate::worker::LightSource;
 use relume_api::exports::{FramesExport, Package, TurntableSpec};
 use relume_api::{NerfstudioWorld, TenantId};
@@ -53,6 +55,7 @@ impl FramesPlan {
         let cameras = cameras(spec, up)?;
         check_outputs(&spec.outputs, spec.format)?;
         check_ground(spec.ground_height, &spec.outputs)?;
+        check_lamps(&spec.lamps)?;
         if !spec.environment_turn_deg.is_finite() {
             return Err(Problem::invalid_field("/environment_turn_deg", "must be finite"));
         }

@@ -16,7 +16,7 @@ use relume_api::ModelId;
 use relume_capture::formats::model_file;
 use relume_engine::{Device, DeviceError};
 use relume_scene::{Camera, Model};
-use relume_spec::rendering::{MaterialEdit, Output, Quality};
+use relume_spec::rendering::{Lamp, MaterialEdit, Output, Quality};
 use relume_train::palette::{EditError, edited, mask};
 use relume_train::render::{Frame, PreparedLight, RenderError, Renderer, Viewpoint};
 
@@ -160,6 +160,8 @@ pub struct RenderTask {
     pub outputs: Vec<Output>,
     /// Height of the ground, capture units; `None`: the lowest point of the model.
     pub ground_height: Option<f64>,
+    /// Lamps beside the light. The exposure does not change them.
+    pub lamps: Vec<Lamp>,
 }
 
 /// A light to prepare for a model, for shading in a viewer.
@@ -344,7 +346,7 @@ impl RenderScene {
         let _span = tracing::info_span!("draw", tier = task.quality.tier.name()).entered();
         let LitModel { renderer, light } = &self.lit;
         let bands = renderer.bands(&self.camera, light, task.quality, &task.outputs)?;
-        let mut bands = bands.on_ground(task.ground_height);
+        let mut bands = bands.on_ground(task.ground_height).with_lamps(lamps_before_exposure(task));
         while bands.render_next()? {
             between()?;
         }
@@ -355,6 +357,11 @@ impl RenderScene {
         expose(&mut frame, task.exposure_ev);
         Ok(frame)
     }
+}
+
+/// The lamps of a task such that its exposure, which changes the whole frame, gives them their intensity.
+fn lamps_before_exposure(task: &RenderTask) -> Vec<Lamp> {
+    task.lamps.iter().map(|lamp| lamp.scaled((-task.exposure_ev).exp2())).collect()
 }
 
 /// Applies an exposure to a frame. A frame is linear in the light, so the exposure is a factor.

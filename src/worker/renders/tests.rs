@@ -34,6 +34,7 @@ fn task(model: &ModelSource, tier: Tier, exposure_ev: f64) -> RenderTask {
         quality: Quality { samples: 4, ..tier.into() },
         outputs: vec![Output::Rgb, Output::Diffuse, Output::Specular, Output::Albedo, Output::Depth],
         ground_height: None,
+        lamps: Vec::new(),
     }
 }
 

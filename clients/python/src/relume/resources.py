@@ -265,13 +265,15 @@ class Model(Resource):
         seed: int | None = None,
         materials: Sequence[dict[str, Any]] = (),
         ground_height: float | None = None,
+        lamps: Sequence[dict[str, Any]] = (),
     ) -> Frame:
         """A frame as linear arrays, its `alpha` among them. `size` is width and height, or both. `materials` are changes of materials.
 
         `ground_height` is the height of the ground for the outputs `shadow`, `bounce` and `contact`; by default the lowest point of the model.
+        `lamps` are lights at a place, e.g. `{"shape": "point", "position": [1, 0, 2], "intensity": 20, "kelvin": 3200}`.
         """
         asked = self._request(camera, environment, size, [*dict.fromkeys([*outputs, "alpha"])], tier, rotation_deg, exposure_ev)
-        drawn = {"samples": samples, "seed": seed, "materials": [*materials] or None, "ground_height": ground_height}
+        drawn = {"samples": samples, "seed": seed, "materials": [*materials] or None, "ground_height": ground_height, "lamps": [*lamps] or None}
         asked.update({key: value for key, value in drawn.items() if value is not None})
         answer = self._connection.send("POST", self._at("/render"), json=asked, headers={"Accept": "image/x-exr"})
         return Frame.from_exr(answer.content)
@@ -290,10 +292,11 @@ class Model(Resource):
         tone_curve: str = "srgb",
         media_type: Literal["image/png", "image/jpeg"] = "image/png",
         materials: Sequence[dict[str, Any]] = (),
+        lamps: Sequence[dict[str, Any]] = (),
     ) -> bytes:
-        """A frame as the bytes of a PNG or JPEG, for people to look at. `materials` are changes of materials."""
+        """A frame as the bytes of a PNG or JPEG, for people to look at. `materials` are changes of materials, `lamps` lights at a place."""
         asked = self._request(camera, environment, size, [output], tier, rotation_deg, exposure_ev)
-        asked.update({"background": background, "tone_curve": tone_curve, "materials": [*materials]})
+        asked.update({"background": background, "tone_curve": tone_curve, "materials": [*materials], "lamps": [*lamps]})
         return self._connection.send("POST", self._at("/render"), json=asked, headers={"Accept": media_type}).content
 
     def thumbnail(

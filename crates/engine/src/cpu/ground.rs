@@ -313,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn points_near_the_model_see_less_sky_and_more_light_of_the_model() {
+    fn points_near_the_model_see_less_sky_and_more_of_it() {
         let model = Arc::new(ball());
         let light = model.prepare_light(model.light_tables(&EnvMap::constant(16, 8, [1.0; 3]).into()));
         let directions: Vec<Vec3> = fibonacci_sphere(256).into_iter().filter(|d| d[2] > 0.0).collect();

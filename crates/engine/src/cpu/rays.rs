@@ -72,6 +72,12 @@ impl OccluderBvh {
     /// An occluder counts at distances from [`ProbeSettings::clearance`] of its own standard deviations plus
     /// [`ProbeSettings::bias`] up to [`ProbeSettings::reach`]. A transmittance below [`MIN_TRANSMITTANCE`] counts as 0.
     pub fn transmittance(&self, origin: Vec3, d: Vec3) -> f32 {
+        self.transmittance_up_to(origin, d, self.settings.reach)
+    }
+
+    /// The same for occluders at distances up to `reach`, or up to [`ProbeSettings::reach`] if that is less.
+    pub fn transmittance_up_to(&self, origin: Vec3, d: Vec3, reach: f32) -> f32 {
+        let reach = reach.min(self.settings.reach);
         let (u, v) = plane_basis(d);
         let inverse = d.map(|x| 1.0 / x);
         let mut left = 1.0f32;
@@ -92,7 +98,7 @@ impl OccluderBvh {
             }
             let first = node.first as usize;
             for o in &self.members[first..first + node.count as usize] {
-                left *= 1.0 - self.alpha_on_ray(o, origin, [d, u, v]);
+                left *= 1.0 - self.alpha_on_ray(o, (origin, reach), [d, u, v]);
             }
             // Further occluders, in any order, only reduce the product.
             if left < MIN_TRANSMITTANCE {
@@ -104,11 +110,11 @@ impl OccluderBvh {
 
     /// Alpha of one occluder on a ray.
     #[inline]
-    fn alpha_on_ray(&self, o: &Occluder, origin: Vec3, [d, u, v]: [Vec3; 3]) -> f32 {
+    fn alpha_on_ray(&self, o: &Occluder, (origin, reach): (Vec3, f32), [d, u, v]: [Vec3; 3]) -> f32 {
         let offset: Vec3 = std::array::from_fn(|k| o.mean[k] - origin[k]);
         let depth = dot(offset, d);
         // NaN fails the test as well.
-        if !(depth >= self.settings.bias && depth <= self.settings.reach) {
+        if !(depth >= self.settings.bias && depth <= reach) {
             return 0.0;
         }
         let Some(seen) = o.along(d, u, v) else { return 0.0 };

@@ -10,7 +10,7 @@ use crate::render::renderer::{PreparedLight, Renderer};
 use relume_engine::{DeviceError, FrameJob, RasterCamera, RayLight};
 use relume_layout::constants::TILE;
 use relume_scene::Camera;
-use relume_spec::rendering::{Output, Quality, Tier};
+use relume_spec::rendering::{Lamp, Output, Quality, Tier};
 
 /// A frame that is being rendered, see [`Renderer::bands`].
 pub struct Bands<'a> {
@@ -24,6 +24,7 @@ pub struct Bands<'a> {
     of_device: Vec<Output>,
     /// Height of the ground, capture units; `None`: [`Renderer::ground_height`].
     ground: Option<f64>,
+    lamps: Vec<Lamp>,
     /// Rows of a band: whole tiles where the device allows, so that no tile is blended twice.
     rows: usize,
     /// Completed rows.
@@ -86,6 +87,7 @@ impl Renderer {
             outputs,
             of_device,
             ground: None,
+            lamps: Vec::new(),
             rows,
             done: 0,
             frame,
@@ -111,13 +113,20 @@ impl Bands<'_> {
         Self { ground: height, ..self }
     }
 
-    /// Renders the next band, and after the last one the planes of the ground. Returns false when the frame is complete.
+    /// Adds lamps to the environment. At most [`MAX_LAMPS`](relume_spec::rendering::MAX_LAMPS) valid lamps.
+    #[must_use]
+    pub fn with_lamps(self, lamps: Vec<Lamp>) -> Self {
+        Self { lamps, ..self }
+    }
+
+    /// Renders the next band, and after the last one the light of lamps and the planes of the ground. Returns false when the frame is complete.
     ///
     /// # Errors
     /// The device failed.
     pub fn render_next(&mut self) -> Result<bool, RenderError> {
         let first = self.done;
         if first == self.view.height {
+            self.add_lamps();
             self.add_ground();
             return Ok(false);
         }
@@ -153,11 +162,26 @@ impl Bands<'_> {
         }
         let outputs = &self.outputs;
         self.frame.planes.retain(|output, _| outputs.contains(output));
-        self.outputs.iter().any(|output| output.is_of_ground())
+        self.has_lamps() || self.outputs.iter().any(|output| output.is_of_ground())
     }
 
-    /// Adds the planes of the ground.
+    /// Whether the frame shows light of lamps.
+    fn has_lamps(&self) -> bool {
+        let shows = |output: &Output| matches!(output, Output::Rgb | Output::Diffuse | Output::Specular);
+        !self.lamps.is_empty() && self.outputs.iter().any(shows)
+    }
+
+    fn add_lamps(&mut self) {
+        if self.has_lamps() {
+            self.renderer.add_lamps(&mut self.frame, self.view, &self.lamps, self.quality.tier);
+        }
+    }
+
+    /// Adds the planes of the ground, if they are requested.
     fn add_ground(&mut self) {
+        if !self.outputs.iter().any(|output| output.is_of_ground()) {
+            return;
+        }
         let Self { renderer, light, view, .. } = *self;
         let height = renderer.normalised_height(self.ground);
         GroundPlanes { renderer, light, view, height }.add_to(&mut self.frame, &self.outputs);

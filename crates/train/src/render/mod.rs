@@ -10,6 +10,7 @@ mod error;
 mod frame_metadata;
 mod ground;
 mod high_tier_light;
+mod lamps;
 mod light_matrix;
 mod mesh;
 mod renderer;

@@ -11,14 +11,9 @@ mod shaded;
 
 use std::ops::Range;
 
-use crate::cpu::blend::{BlendScratch, TileJob, blend_tile};
-use crate::cpu::lanes::LANES;
-use crate::cpu::project::Splat;
-use crate::cpu::tiles::TileLists;
-use crate::cpu::{AttributeSource, HostModel, arriving, attribute_rows, project_all};
+use crate::cpu::shown_splats::ShownSplats;
+use crate::cpu::{AttributeSource, HostModel, ShadedColumns, arriving};
 use crate::{NO_INDIRECT_BASIS, RasterCamera};
-use relume_layout::channel::Channels;
-use relume_layout::constants::{EarlyStop, TILE};
 use relume_scene::light::{LightLobes, LightTables, LobeTables, TableLight};
 use relume_scene::{MAX_LIGHTS, SplitLight};
 
@@ -92,23 +87,9 @@ impl Columns {
 pub struct LightMatrix<'a> {
     host: &'a HostModel,
     light: &'a MatrixLight,
-    view: RasterCamera,
     /// Share of each small light that arrives, per Gaussian.
     arriving: Vec<[f32; MAX_LIGHTS]>,
-    splats: Vec<Splat>,
-    tiles: TileLists,
-    /// Splats that reach a tile.
-    shown: Vec<u32>,
-    /// Attributes of the shown splats, rows of `Channels::Material`.
-    materials: Vec<f32>,
-}
-
-/// The radiance of each splat for some columns, RGB per column.
-pub struct ShadedColumns {
-    channels: usize,
-    /// Floats per splat.
-    stored: usize,
-    attributes: Vec<f32>,
+    splats: ShownSplats,
 }
 
 impl HostModel {
@@ -117,14 +98,8 @@ impl HostModel {
     pub fn light_matrix<'a>(&'a self, light: &'a MatrixLight, view: RasterCamera) -> LightMatrix<'a> {
         let source = self.source(&[], &[], &NO_INDIRECT_BASIS);
         let arriving = arriving(&source, &light.suns);
-        let splats = project_all(&source, &view);
-        let tiles = TileLists::new(view.width, view.height, &splats);
-        let shown: Vec<u32> =
-            (0..splats.len()).filter(|i| !tiles.slots_of_splat(*i).is_empty()).map(|i| i as u32).collect();
-        let of_shown: Vec<Splat> = shown.iter().map(|i| splats[*i as usize]).collect();
-        let stored = Channels::Material.stored();
-        let materials = attribute_rows(&source, &view, &of_shown, Channels::Material, stored);
-        LightMatrix { host: self, light, view, arriving, splats, tiles, shown, materials }
+        let splats = ShownSplats::new(&source, view);
+        LightMatrix { host: self, light, arriving, splats }
     }
 }
 
@@ -139,17 +114,17 @@ impl LightMatrix<'_> {
 
     /// Number of strips of a frame: runs of 16 rows.
     pub fn strips(&self) -> usize {
-        self.tiles.rows
+        self.splats.strips()
     }
 
     /// Number of rows of strip `index`.
     pub fn strip_rows(&self, index: usize) -> usize {
-        TILE.min(self.view.height - index * TILE)
+        self.splats.strip_rows(index)
     }
 
     /// Coverage of the splats, one channel.
     pub fn coverage(&self) -> ShadedColumns {
-        let attributes = self.splats.iter().flat_map(|_| [1.0, 0.0, 0.0, 0.0]).collect();
+        let attributes = self.splats.splats.iter().flat_map(|_| [1.0, 0.0, 0.0, 0.0]).collect();
         ShadedColumns { channels: 1, stored: 4, attributes }
     }
 
@@ -164,33 +139,7 @@ impl LightMatrix<'_> {
     /// Strip `index` of the frames of `shaded`: linear radiance, premultiplied, as `[channel][row][column of pixels]`, with three
     /// channels per column of the matrix.
     pub fn strip(&self, shaded: &ShadedColumns, index: usize) -> Vec<f32> {
-        let (width, rows) = (self.view.width, self.strip_rows(index));
-        let mut out = vec![0.0f32; shaded.channels * rows * width];
-        let (mut scratch, mut tile_out) = (BlendScratch::default(), vec![0.0; TILE * shaded.stored * LANES]);
-        for tile in index * self.tiles.columns..(index + 1) * self.tiles.columns {
-            let members = self.tiles.members(tile);
-            if members.is_empty() {
-                continue;
-            }
-            let origin = self.tiles.origin(tile);
-            let job = TileJob {
-                splats: &self.splats,
-                members,
-                attributes: &shaded.attributes,
-                stored: shaded.stored,
-                origin,
-                early_stop: EarlyStop::WhenSaturated,
-            };
-            blend_tile(&job, &mut scratch, &mut tile_out);
-            let across = LANES.min(width - origin.0);
-            for row in 0..rows {
-                for channel in 0..shaded.channels {
-                    let from = &tile_out[(row * shaded.stored + channel) * LANES..][..across];
-                    out[(channel * rows + row) * width + origin.0..][..across].copy_from_slice(from);
-                }
-            }
-        }
-        out
+        self.splats.strip(shaded, index)
     }
 
     /// The model with the shares of the small lights.

@@ -5,12 +5,13 @@ use rayon::prelude::*;
 use crate::cpu::direct::direct_of;
 use crate::cpu::light_matrix::gathered::Incident;
 use crate::cpu::light_matrix::kernels::{add_irradiance, add_prefiltered, add_scaled};
-use crate::cpu::light_matrix::{Columns, LightMatrix, ShadedColumns};
+use crate::cpu::light_matrix::{Columns, LightMatrix};
 use crate::cpu::project::normalise;
+use crate::cpu::shown_splats::ShownSplats;
 use crate::cpu::surface::dot3;
-use crate::cpu::{AttributeSource, Surface, SurfaceShader};
+use crate::cpu::{AttributeSource, ShadedColumns, Surface, SurfaceShader};
 use crate::zeros;
-use relume_layout::channel::{Channels, GROUP};
+use relume_layout::channel::GROUP;
 use relume_layout::constants::MIN_NOV;
 use relume_scene::light::{BrdfLut, DIELECTRIC_F0, LevelPosition, Sheen, UNOCCLUDED_SH0};
 use relume_scene::{DisplayRange, Field};
@@ -25,7 +26,7 @@ pub(super) fn shade(
     columns: &Columns,
     incident: &Incident,
 ) -> ShadedColumns {
-    let (light, material) = (matrix.light, Channels::Material.stored());
+    let light = matrix.light;
     let shader = SurfaceShader {
         tables: &light.unlit,
         options: source.options,
@@ -34,18 +35,13 @@ pub(super) fn shade(
     };
     let shading = Shading { matrix, source, columns, incident, shader };
     let (channels, stored) = (3 * columns.len(), (3 * columns.len()).next_multiple_of(GROUP));
-    let mut attributes = zeros(matrix.splats.len() * stored);
-    // The rows of the shown splats, in order.
-    let mut rows: Vec<&mut [f32]> = Vec::with_capacity(matrix.shown.len());
-    let mut shown = matrix.shown.iter().peekable();
-    for (index, row) in attributes.chunks_exact_mut(stored.max(1)).enumerate() {
-        if shown.next_if(|next| **next as usize == index).is_some() {
-            rows.push(row);
-        }
-    }
-    let splats = rows.into_par_iter().zip(&matrix.shown).zip(matrix.materials.par_chunks(material));
-    splats.with_min_len(SPLATS_AT_ONCE).for_each_init(Sums::default, |sums, ((row, splat), material)| {
-        let i = matrix.splats[*splat as usize].gaussian as usize;
+    let splats = &matrix.splats;
+    let mut attributes = zeros(splats.splats.len() * stored);
+    let rows = splats.rows_of_shown(&mut attributes, stored);
+    let shown =
+        rows.into_par_iter().zip(&splats.shown).zip(splats.materials.par_chunks(ShownSplats::MATERIAL));
+    shown.with_min_len(SPLATS_AT_ONCE).for_each_init(Sums::default, |sums, ((row, splat), material)| {
+        let i = splats.splats[*splat as usize].gaussian as usize;
         shading.write(i, material, sums, &mut row[..channels]);
     });
     ShadedColumns { channels, stored, attributes }
@@ -124,7 +120,7 @@ impl Factors {
 impl Shading<'_> {
     /// Writes the radiance of Gaussian `i` with attributes `material`: RGB per column.
     fn write(&self, i: usize, material: &[f32], sums: &mut Sums, out: &mut [f32]) {
-        let centre = self.matrix.view.centre;
+        let centre = self.matrix.splats.view.centre;
         let mean = self.source.geometry(i).mean;
         let surface = self.source.surface(i, material, std::array::from_fn(|k| mean[k] - centre[k]));
         let factors = Factors::of(&self.shader, &surface);
