@@ -3,7 +3,7 @@
 DATA has scenes/NAME with path-traced ground truth and envmaps/LIGHT.hdr. MODELS has NAME.safetensors for each scene, as
 `relume train DATA/scenes/NAME --preset draft --resolution 200 --set max_gaussians=16000 --seed 0 --out MODELS/NAME.safetensors` writes it, and demo.safetensors, the model of `relume demo`.
 OUT receives, for each scene, NAME-turntable.webp (the camera turns), NAME-light.webp (the light turns) and NAME-truth.webp (path-traced and relit pictures of one
-test view under lights that the training did not see); materials.webp, the demonstration with changed materials; plates.webp and shadow.webp, the drape
+test view under lights that the training did not see); materials.webp, the demonstration with changed materials; shadow-passes.webp and shadow.webp, the drape
 on a floor under a sun; and lamps.webp, models under lamps.
 """
 
@@ -84,8 +84,8 @@ def on_floor(model, shadow):
     return Image.alpha_composite(floor.convert("RGBA"), model.convert("RGBA")).convert("RGB")
 
 
-def plates(relume, model, sun, out):
-    """A model, its shadow plate, and both over a floor; and a moving picture of the latter under a turning sun."""
+def shadow_passes(relume, model, sun, out):
+    """A model, its shadow pass, and both over a floor; and a moving picture of the latter under a turning sun."""
     common = ["--env", sun, "--elevation", 30]
     with tempfile.TemporaryDirectory() as folder:
         for output in ("rgb", "shadow"):
@@ -96,7 +96,7 @@ def plates(relume, model, sun, out):
         sheet = Image.new("RGB", (3 * VIEW_SIZE, VIEW_SIZE), PAPER)
         for column, picture in enumerate((on_paper(alone), shadow.convert("RGB"), on_floor(alone, shadow))):
             sheet.paste(picture, (column * VIEW_SIZE, 0))
-        sheet.save(out / "plates.webp", quality=QUALITY + 6, method=6)
+        sheet.save(out / "shadow-passes.webp", quality=QUALITY + 6, method=6)
         paths = [sorted(pathlib.Path(folder).glob(f"{output}-*.png")) for output in ("rgb", "shadow")]
         frames = [on_floor(Image.open(a), Image.open(b)) for a, b in zip(*paths, strict=True)]
     frames[0].save(out / "shadow.webp", save_all=True, append_images=frames[1:], duration=MILLISECONDS, loop=0, quality=QUALITY, method=6)
@@ -133,7 +133,7 @@ def main():
         truth(relume, data, scene, model, out / f"{scene}-truth.webp")
     materials(relume, models / "demo.safetensors", out / "materials.webp")
     lamps(relume, models, out / "lamps.webp")
-    plates(relume, models / "drape.safetensors", data / "envmaps" / "noon.hdr", out)
+    shadow_passes(relume, models / "drape.safetensors", data / "envmaps" / "noon.hdr", out)
     for path in sorted(out.glob("*.webp")):
         print(f"{path.name}: {path.stat().st_size // 1000} kB")
 

@@ -4,13 +4,15 @@ use std::path::Path;
 use std::process::{Command, Output as Ended};
 
 use relume::testing;
+use relume_api::exports::{ExportState, FramesExport, NewExport};
 use relume_api::renders::RenderRequest;
 use relume_capture::formats::{image_file, model_file};
 use relume_client::ClientError;
-use relume_spec::rendering::{FrameFormat, Lamp, Output};
+use relume_spec::rendering::{FrameFormat, Lamp, Output, Tier};
 use tempfile::TempDir;
 
 use crate::service::look_at;
+use crate::service_exports::until;
 use crate::service_support::trained;
 
 fn relume(folder: &Path, arguments: &[&str]) -> Ended {
@@ -66,13 +68,14 @@ fn lamps_light_the_side_that_faces_them() {
         |options: &[&str]| picture(at, &[&["--exposure", "-20"], options].concat()).iter().sum::<f32>();
     let lamp = |intensity: f32, tier: &str| {
         let lamp = format!("point position=0,0,3 intensity={intensity}");
-        brightness(&["--tier", tier, "--lamp", &lamp])
+        brightness(&["--tier", tier, "--tone-curve", "linear", "--lamp", &lamp])
     };
     let dark = brightness(&[]);
     assert!(dark < 1.0, "{dark}");
     for tier in ["standard", "high"] {
-        let (one, two) = (lamp(2.0, tier), lamp(8.0, tier));
-        assert!(one > dark + 10.0 && two > one * 1.2, "{tier}: {dark} {one} {two}");
+        let (one, four) = (lamp(0.1, tier), lamp(0.4, tier));
+        let ratio = (four - dark) / (one - dark);
+        assert!(one > dark + 1.0 && (3.6..4.1).contains(&ratio), "{tier}: {dark} {one} {four}");
     }
 }
 
@@ -88,6 +91,7 @@ fn render_refuses_a_ground_that_no_output_shows() {
     for (arguments, named) in [
         (&["--ground-height", "0.5"][..], "--ground-height"),
         (&["--lamp", "point position=0,0,1"], "intensity"),
+        (&["--lamp", "point position=0,0,1 intensity=1", "--output", "normal"], "--lamp"),
         (&["--light-matrix", "8", "--lamp", "point position=0,0,1 intensity=1", "--out", "o.exr"], "--lamp"),
         (&["--ground-height", "nan", "--output", "shadow"], "ground-height"),
         (&["--output", "position", "--out", "o.png"], "position"),
@@ -131,7 +135,9 @@ async fn service_renders_ground_and_lamps_and_names_faults() {
     let wrong = Lamp { intensity: Some(-1.0), ..bulb.clone() };
     for (request, pointer) in [
         (lit(vec![bulb.clone(), wrong]), "/lamps/1/intensity"),
-        (lit(vec![bulb; 17]), "/lamps"),
+        (lit(vec![bulb.clone(); 17]), "/lamps"),
+        (RenderRequest { lamps: vec![bulb.clone()], ..request(&[Output::Normal], None) }, "/lamps"),
+        (RenderRequest { tier: Tier::High, width: 4096, height: 4096, ..lit(vec![bulb.clone()]) }, "/lamps"),
         (request(&[Output::Rgb], Some(0.0)), "/ground_height"),
         (request(&[Output::Position], None), "/outputs"),
     ] {
@@ -142,4 +148,27 @@ async fn service_renders_ground_and_lamps_and_names_faults() {
             other => panic!("{pointer}: {other:?}"),
         }
     }
+
+    let frames = FramesExport {
+        format: FrameFormat::Exr,
+        outputs: vec![Output::Rgb, Output::Shadow],
+        lamps: vec![bulb.clone()],
+        ground_height: Some(-1.0),
+        width: Some(16),
+        height: Some(16),
+        ..FramesExport::turntable(2)
+    };
+    let refused = FramesExport { outputs: vec![Output::Rgb], ..frames.clone() };
+    let answer = client.create_export(&model, &NewExport::Frames(Box::new(refused)), None).await;
+    assert!(
+        matches!(answer, Err(ClientError::Problem(problem)) if problem.errors[0].pointer == "/ground_height")
+    );
+    let made = client.create_export(&model, &NewExport::Frames(Box::new(frames)), None).await.unwrap();
+    let ended = until(client, &made.id, |export| export.state.is_terminal()).await;
+    assert_eq!(ended.state, ExportState::Succeeded, "{ended:?}");
+    let zip = client.export_file(&made.id).await.unwrap();
+    let text = String::from_utf8_lossy(&zip);
+    assert!(
+        text.contains("relume:lamps") && text.contains("relume:ground_height") && text.contains("shadow.R")
+    );
 }

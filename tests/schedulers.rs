@@ -183,6 +183,18 @@ mod stops {
     }
 
     #[test]
+    fn a_signal_that_is_sent_twice_saves_the_progress() {
+        let folder = TempDir::new().unwrap();
+        let (mut child, _reader) = started(folder.path(), &["--iterations", "5000", "--checkpoint", "c"]);
+        let id = child.id();
+        // The process may have ended before the repetition.
+        let script = format!("kill -TERM {id}; sleep 0.05; kill -TERM {id} || true");
+        assert!(Command::new("sh").args(["-c", &script]).stderr(Stdio::null()).status().unwrap().success());
+        assert_eq!(child.wait().unwrap().code(), Some(75));
+        assert!(folder.path().join("c").exists());
+    }
+
+    #[test]
     fn a_second_signal_ends_training_at_once() {
         let folder = TempDir::new().unwrap();
         let (mut child, _reader) = started(folder.path(), &["--iterations", "5000", "--checkpoint", "c"]);

@@ -52,7 +52,7 @@ fn request(first: &mut Option<(i32, Instant)>, signal: i32, now: Instant) -> Opt
     }
 }
 
-/// Whether the process received SIGTERM or SIGINT. A second signal ends the process at once.
+/// Whether the process received SIGTERM or SIGINT. A second request ends the process at once.
 pub(super) struct StopSignal {
     requested: Arc<AtomicBool>,
     /// There is nothing to save yet, so the first signal also ends the process.

@@ -129,7 +129,7 @@ pub(super) struct TrainArgs {
     #[command(flatten)]
     settings: SettingFlags,
     /// The checkpoint file. If it exists, the training resumes from it; it is deleted at the end. SIGTERM and Ctrl-C write it after
-    /// the current step and end with exit code 75; a second signal ends immediately. Default: `OUT.checkpoint`, which is also
+    /// the current step and end with exit code 75; a second signal, at least a second later or of the other kind, ends the process at once. Default: `OUT.checkpoint`, which is also
     /// written regularly in trainings of more than a minute. If that file has other settings or photographs, the command
     /// renames it to `OUT.checkpoint.old` and fails; the next run starts from the beginning.
     #[arg(long, value_name = "FILE")]

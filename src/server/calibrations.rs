@@ -173,7 +173,7 @@ async fn albedo(
         ground_height: None,
         lamps: Vec::new(),
     };
-    let _memory = app.memory.reserve(frame_bytes(task.pixels(), &task.outputs)).await?;
+    let _memory = app.memory.reserve(frame_bytes(task.pixels(), &task.outputs, false)).await?;
     Ok(patch_albedo(&app.device.render(task).await?.answer))
 }
 

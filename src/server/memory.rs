@@ -110,14 +110,26 @@ pub(super) fn default_budget() -> u64 {
     machine::memory() / 2
 }
 
-/// Bytes of a frame from its G-buffer to its file.
-pub(super) fn frame_bytes(pixels: u64, outputs: &[Output]) -> u64 {
+/// Bytes per pixel of a band of the frame under lamps: sums and parts of two planes, and strips.
+const LAMP_PIXEL: u64 = 80;
+/// Bytes per point of the ground.
+const GROUND_POINT: u64 = 128;
+
+/// Bytes of a frame from its G-buffer to its file, with lamps or the ground if they are requested.
+pub(super) fn frame_bytes(pixels: u64, outputs: &[Output], has_lamps: bool) -> u64 {
     let values: usize = outputs.iter().map(|o| o.channels()).sum();
-    let is_colour = outputs.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha));
+    let is_colour = !has_lamps && outputs.iter().all(|o| matches!(o, Output::Rgb | Output::Alpha));
     let of_pass = if is_colour { COLOUR_PIXEL } else { FULL_PIXEL };
     let (values, on_cpu) = (values as u64 + 1, pixels.min(Quality::CPU_BAND_COST) * of_pass);
     // A band of a device is returned as floats.
-    pixels * FRAME_VALUE * values + on_cpu.max(pixels.min(Quality::BAND_COST) * 4 * values)
+    let ground = if outputs.iter().any(|o| o.is_of_ground()) { ground_bytes(pixels) } else { 0 };
+    let lamps = if has_lamps { pixels.min(Quality::CPU_BAND_COST) * LAMP_PIXEL } else { 0 };
+    ground + lamps + pixels * FRAME_VALUE * values + on_cpu.max(pixels.min(Quality::BAND_COST) * 4 * values)
+}
+
+/// Bytes for the ground of a frame: its points, and a group of pictures of the model.
+fn ground_bytes(pixels: u64) -> u64 {
+    pixels.min(1 << 19) * GROUND_POINT + (32 * pixels).min(32 << 20)
 }
 
 /// Bytes for the stream of a model with a file of `size` bytes: the file, the model, its columns, the stream.
@@ -193,10 +205,20 @@ mod tests {
     #[test]
     fn memory_estimates_match_measured_sizes() {
         let all = [Output::Rgb, Output::Albedo, Output::Normal, Output::Depth, Output::Alpha];
-        let large = frame_bytes(4096 * 4096, &all);
+        let large = frame_bytes(4096 * 4096, &all, false);
         // Measured: 2,185 MiB for a whole process with a model of 60,000 Gaussians.
         assert!((1900 << 20..2200u64 << 20).contains(&large), "{large}");
-        assert!(frame_bytes(256 * 256, &[Output::Rgb]) < 4 << 20, "a thumbnail is small for any budget");
+        assert!(
+            frame_bytes(256 * 256, &[Output::Rgb], false) < 4 << 20,
+            "a thumbnail is small for any budget"
+        );
+        let plain = frame_bytes(2048 * 2048, &[Output::Rgb], false);
+        assert!(frame_bytes(2048 * 2048, &[Output::Rgb], true) > plain + (16 << 20), "lamps need memory");
+        let shadow = frame_bytes(2048 * 2048, &[Output::Shadow], false);
+        assert!(
+            shadow > frame_bytes(2048 * 2048, &[Output::Normal], false) + (64 << 20),
+            "and so does the ground"
+        );
         assert!(default_budget() > MIN_BUDGET);
         // A stream has 62 bytes per Gaussian and as many floats, with 140 floats per Gaussian in the file; a light has 16 bytes
         // and ten floats.

@@ -40,6 +40,9 @@ pub(super) fn quality(
     Ok(quality)
 }
 
+/// Greatest number of pixels times lamps in the tiers that trace shadows of lamps in each pixel.
+const MAX_LAMP_PIXELS: u64 = 1 << 22;
+
 /// Refuses outputs that the file format does not support.
 pub(super) fn check_outputs(outputs: &[Output], format: FrameFormat) -> Result<(), Problem> {
     let refuse = |why: &str| Err(Problem::invalid_field("/outputs", why));
@@ -69,8 +72,29 @@ pub(super) fn check_ground(height: Option<f64>, outputs: &[Output]) -> Result<()
     }
 }
 
-/// Refuses too many lamps, and the first invalid one.
-pub(super) fn check_lamps(lamps: &[Lamp]) -> Result<(), Problem> {
+/// Refuses lamps without outputs that show them, too many lamps for the tier and size, and the first invalid lamp.
+pub(super) fn check_lamps(
+    lamps: &[Lamp],
+    outputs: &[Output],
+    (tier, size): (Tier, (u32, u32)),
+) -> Result<(), Problem> {
+    if lamps.is_empty() {
+        return Ok(());
+    }
+    let shows = |output: &Output| matches!(output, Output::Rgb | Output::Diffuse | Output::Specular);
+    if !outputs.iter().any(shows) {
+        let detail = "applies to the outputs rgb, diffuse and specular; add one of them to outputs";
+        return Err(Problem::invalid_field("/lamps", detail));
+    }
+    let most = MAX_LAMP_PIXELS / (u64::from(size.0) * u64::from(size.1)).max(1);
+    let traces = matches!(tier, Tier::High | Tier::MonteCarlo);
+    if traces && lamps.len() as u64 > most {
+        let detail = format!(
+            "pixels times lamps must be at most {MAX_LAMP_PIXELS} in this tier: {most} lamps for this size, got {}",
+            lamps.len()
+        );
+        return Err(Problem::invalid_field("/lamps", detail));
+    }
     if lamps.len() > MAX_LAMPS {
         let detail = format!("must have at most {MAX_LAMPS} entries, got {}", lamps.len());
         return Err(Problem::invalid_field("/lamps", detail));

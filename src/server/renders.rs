@@ -67,7 +67,8 @@ async fn render(
     render_request::check_outputs(&request.outputs, format)?;
     let encoding = render_request::finish(&request, format)?;
     render_request::check_ground(request.ground_height, &request.outputs)?;
-    render_request::check_lamps(&request.lamps)?;
+    let size = (request.width, request.height);
+    render_request::check_lamps(&request.lamps, &request.outputs, (request.tier, size))?;
     let camera = camera(&request)?;
     let (size, on_gpu) = ((request.width, request.height), app.device.has_gpu());
     let quality = quality(request.tier, request.samples, request.seed, size, on_gpu)?;
@@ -107,6 +108,7 @@ pub(super) fn notes(task: &RenderTask, camera: Option<Camera>) -> FrameMetadata 
         camera,
         frames_per_second: None,
         ground_height: task.ground_height,
+        lamps: task.lamps.clone(),
     }
 }
 
@@ -133,7 +135,8 @@ pub(super) async fn render_in_background(
     format: FrameFormat,
     encoding: EncodeOptions,
 ) -> Result<Vec<u8>, Problem> {
-    let memory = app.memory.reserve(frame_bytes(task.pixels(), &task.outputs)).await?;
+    let memory =
+        app.memory.reserve(frame_bytes(task.pixels(), &task.outputs, !task.lamps.is_empty())).await?;
     let outputs = task.outputs.clone();
     let rendered = app.device.render_in_background(task).await?;
     Ok(app.encoders.encode(rendered.answer, outputs, format, encoding, memory).await?.bytes)
@@ -147,7 +150,8 @@ pub(super) async fn render_frame(
     encoding: EncodeOptions,
 ) -> Result<TimedFrame, Problem> {
     // Held from the queue to the encoded file.
-    let memory = app.memory.reserve(frame_bytes(task.pixels(), &task.outputs)).await?;
+    let memory =
+        app.memory.reserve(frame_bytes(task.pixels(), &task.outputs, !task.lamps.is_empty())).await?;
     let outputs = task.outputs.clone();
     let rendered = app.device.render(task).await?;
     let ms = |d: std::time::Duration| d.as_secs_f64() * 1e3;

@@ -50,7 +50,7 @@ impl DeviceHandle {
     /// # Errors
     /// [`RenderFailure::Busy`] if the queue is full; otherwise the error of the renderer.
     pub async fn render(&self, task: RenderTask) -> Result<TimedAnswer<Frame>, RenderFailure> {
-        self.ask(task, RenderPriority::Interactive, Request::Frame).await
+        self.ask(task, RenderPriority::Interactive, Request::frame).await
     }
 
     /// Renders a frame with the lowest priority, when no other frame is queued.
@@ -58,7 +58,7 @@ impl DeviceHandle {
     /// # Errors
     /// As [`Self::render`].
     pub async fn render_in_background(&self, task: RenderTask) -> Result<TimedAnswer<Frame>, RenderFailure> {
-        self.ask(task, RenderPriority::Background, Request::Frame).await
+        self.ask(task, RenderPriority::Background, Request::frame).await
     }
 
     /// Makes the stream of a light, between frames. If the caller drops the future, the light is not prepared.

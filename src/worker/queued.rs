@@ -66,12 +66,17 @@ impl<Task, Answer> Queued<Task, Answer> {
 /// A request to a rendering thread.
 pub(super) enum Request {
     /// A frame.
-    Frame(Queued<RenderTask, Frame>),
+    Frame(Box<Queued<RenderTask, Frame>>),
     /// The stream of a light.
     Light(Queued<LightTask, Vec<u8>>),
 }
 
 impl Request {
+    /// A request for a frame.
+    pub(super) fn frame(queued: Queued<RenderTask, Frame>) -> Self {
+        Self::Frame(Box::new(queued))
+    }
+
     /// The relative cost on the device, as [`RenderTask::cost`]. The preparation of a light cannot be interrupted, so a light is
     /// not served between the bands of a frame.
     pub(super) fn cost(&self) -> u64 {

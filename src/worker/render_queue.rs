@@ -181,7 +181,7 @@ mod tests {
     }
 
     fn push_as(queue: &RenderQueue, size: u32, priority: RenderPriority) -> Option<QueueSlot> {
-        queue.push(Request::Frame(Queued::new(task(size, Tier::Standard), 0).0), priority)
+        queue.push(Request::frame(Queued::new(task(size, Tier::Standard), 0).0), priority)
     }
 
     /// Side of a frame; `None` for a light.
@@ -268,7 +268,7 @@ mod tests {
     async fn queued_callers_get_an_error_when_the_renderer_stops() {
         let (queue, waiting) = render_queue(2);
         let (render, frame) = Queued::new(task(64, Tier::Standard), 0);
-        let _place = queue.push(Request::Frame(render), RenderPriority::Interactive).unwrap();
+        let _place = queue.push(Request::frame(render), RenderPriority::Interactive).unwrap();
         let other = waiting.clone();
         drop(waiting);
         assert!(!queue.is_closed(), "the control: another one renders");

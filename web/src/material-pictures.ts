@@ -1,4 +1,4 @@
-import { useEffect, useMemo, useState } from 'preact/hooks'
+import { useEffect, useMemo, useRef, useState } from 'preact/hooks'
 import { ask } from './api/client'
 import { explain, type PageError } from './api/page-error'
 import type { Material, RenderRequest } from './api/types'
@@ -33,6 +33,10 @@ async function rendered(model: string, request: RenderRequest): Promise<Blob> {
 export function useServed(model: string, request: RenderRequest | undefined, queue: SerialQueue) {
   const [shown, setShown] = useState<Served>({})
   const [round, setRound] = useState(0)
+  const isGone = useRef(false)
+  useEffect(() => () => {
+    isGone.current = true
+  }, [])
   const body = request && JSON.stringify(request)
   useEffect(() => {
     if (!body) return
@@ -42,7 +46,7 @@ export function useServed(model: string, request: RenderRequest | undefined, que
       if (isReplaced) return
       try {
         const blob = await rendered(model, request)
-        setShown({ request, url: URL.createObjectURL(blob) })
+        if (!isGone.current) setShown({ request, url: URL.createObjectURL(blob) })
       } catch (error) {
         setShown((before) => ({ ...before, failed: { body, error: explain(error) } }))
       }

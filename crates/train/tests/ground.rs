@@ -69,6 +69,8 @@ fn sun_casts_a_shadow_that_an_even_sky_does_not_cast() {
     let (sunny, even) = (of(sun()), of(EnvMap::constant(64, 32, [1.0; 3])));
     let darkest = |frame: &Frame| frame.planes[&Output::Shadow].iter().copied().fold(1.0, f32::min);
     assert!(darkest(&sunny) < 0.2, "{}", darkest(&sunny));
+    assert!(darkest(&even) > 2.0 * darkest(&sunny), "{} {}", darkest(&even), darkest(&sunny));
+    assert!(mean(&even, Output::Contact) < 0.95, "the control: {}", mean(&even, Output::Contact));
     assert_eq!(
         sunny.planes[&Output::Contact],
         even.planes[&Output::Contact],
@@ -88,6 +90,24 @@ fn sun_casts_a_shadow_that_an_even_sky_does_not_cast() {
             frame.planes[&Output::Bounce].iter().all(|v| *v >= 0.0) && mean(frame, Output::Bounce) > 1e-4
         );
     }
+}
+
+#[test]
+fn frames_have_the_same_bytes_for_any_number_of_threads() {
+    let renderer = renderer();
+    let light = renderer.prepare_light(sun()).unwrap();
+    let outputs = [Output::Rgb, Output::Shadow, Output::Bounce, Output::Contact];
+    let of = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let lamp = "point position=1,1,6 radius=0.2 intensity=9".parse().unwrap();
+        let bands = renderer.bands(&above(SIZE), &light, Tier::High.into(), &outputs).unwrap();
+        let mut bands = bands.with_lamps(vec![lamp]);
+        pool.install(|| while bands.render_next().unwrap() {});
+        bands.into_frame()
+    };
+    let (one, three) = (of(1), of(3));
+    assert!(one == three);
+    assert!(mean(&one, Output::Shadow) < 0.99, "the control");
 }
 
 #[test]
@@ -119,14 +139,17 @@ fn large_frames_interpolate_the_ground() {
         rendered(&renderer, EnvMap::constant(64, 32, [1.0; 3]), &above(size), &[Output::Contact], None)
     };
     let (small, large) = (of(256), of(1024));
-    let apart = (0..256 * 256).map(|i| {
-        let (x, y) = (i % 256, i / 256);
-        let pixels = [(1, 1), (2, 1), (1, 2), (2, 2)].map(|(dx, dy)| (4 * y + dy) * 1024 + 4 * x + dx);
-        let mean = pixels.iter().map(|p| large.planes[&Output::Contact][*p]).sum::<f32>() / 4.0;
-        f64::from((mean - small.planes[&Output::Contact][i]).abs())
-    });
-    let apart = apart.sum::<f64>() / (256.0 * 256.0);
-    assert!(apart < 0.01, "{apart}");
+    // Mean difference of the small picture, moved by `shift` pixels, from the reduced large one.
+    let apart = |shift: usize| {
+        let difference = |i: usize| {
+            let (x, y) = (i % 240, i / 240);
+            let pixels = [(1, 1), (2, 1), (1, 2), (2, 2)].map(|(dx, dy)| (4 * y + dy) * 1024 + 4 * x + dx);
+            let reduced = pixels.iter().map(|p| large.planes[&Output::Contact][*p]).sum::<f32>() / 4.0;
+            f64::from((reduced - small.planes[&Output::Contact][y * 256 + x + shift]).abs())
+        };
+        (0..240 * 240).map(difference).sum::<f64>() / (240.0 * 240.0)
+    };
+    assert!(apart(0) < 0.002 && apart(4) > 3.0 * apart(0), "{} {}", apart(0), apart(4));
     assert!(mean(&small, Output::Contact) < 0.99, "the control");
 }
 

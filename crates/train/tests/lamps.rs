@@ -80,6 +80,9 @@ fn a_distant_lamp_is_a_light_of_the_environment() {
     let found = frame(&renderer, 0.0, &[lamp], Tier::High);
     let apart = relative(rgb(&expected), rgb(&found));
     assert!(apart < 0.06, "{apart}");
+    let turned = self::lamp(&format!("point position={},{x},{z} radius={radius} intensity=40000", -y));
+    let elsewhere = relative(rgb(&expected), rgb(&frame(&renderer, 0.0, &[turned], Tier::High)));
+    assert!(elsewhere.is_finite() && elsewhere > 0.15, "the control, a lamp at another azimuth: {elsewhere}");
 }
 
 #[test]

@@ -78,6 +78,14 @@ pub(in crate::cli) struct RenderArgs {
 impl RenderArgs {
     /// The lamps.
     pub(super) fn lamps(&self) -> Result<Vec<Lamp>, String> {
+        use Output::{Diffuse, Rgb, Specular};
+        let shows = |output: &Output| matches!(output, Rgb | Diffuse | Specular);
+        if !self.lamps.is_empty() && !self.output.is_empty() && !self.output.iter().any(shows) {
+            return Err(
+                "--lamp: applies to the outputs rgb, diffuse and specular; add one of them to --output"
+                    .to_owned(),
+            );
+        }
         match self.lamps.len() {
             0..=MAX_LAMPS => Ok(self.lamps.clone()),
             more => Err(format!("--lamp: a picture has at most {MAX_LAMPS} lamps, got {more}")),

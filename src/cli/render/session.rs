@@ -40,6 +40,7 @@ impl RenderSession {
             camera: None,
             frames_per_second: args.sequence.fps,
             ground_height: args.ground_height,
+            lamps: args.lamps()?,
         };
         let encoding = EncodeOptions {
             background: args.background,

@@ -55,7 +55,7 @@ impl FramesPlan {
         let cameras = cameras(spec, up)?;
         check_outputs(&spec.outputs, spec.format)?;
         check_ground(spec.ground_height, &spec.outputs)?;
-        check_lamps(&spec.lamps)?;
+        check_lamps(&spec.lamps, &spec.outputs, (spec.tier, cameras.largest()))?;
         if !spec.environment_turn_deg.is_finite() {
             return Err(Problem::invalid_field("/environment_turn_deg", "must be finite"));
         }

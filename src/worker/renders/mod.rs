@@ -178,9 +178,11 @@ pub struct LightTask {
 }
 
 impl RenderTask {
-    /// The relative cost of the frame: its pixels, weighted by the tier.
+    /// The relative cost of the frame: its pixels, weighted by the tier. Lamps and the ground take longer than any single band.
     pub(super) fn cost(&self) -> u64 {
-        self.pixels().saturating_mul(self.quality.pixel_cost())
+        let cost = self.pixels().saturating_mul(self.quality.pixel_cost());
+        let has_more = !self.lamps.is_empty() || self.outputs.iter().any(|output| output.is_of_ground());
+        if has_more { cost.max(Quality::BAND_COST + 1) } else { cost }
     }
 
     /// Pixels of the frame.

@@ -64,8 +64,6 @@ function Editor({ model, look, view, lights, edits, onChange, materials }: Mater
   const failed = useCallback((failure: unknown) => setError(explain(failure)), [])
   const mask = useMask(masks, hovered ?? focused, failed)
   const material = materials.find((one) => one.material === chosen)
-  // A click may follow, which needs all masks.
-  const approach = () => void masks?.all().catch(() => {})
   const pick = (at: [number, number]) => {
     if (!masks) return
     setError(undefined)
@@ -93,7 +91,7 @@ function Editor({ model, look, view, lights, edits, onChange, materials }: Mater
       </fieldset>
       <div class="halves">
         <div class="stack">
-          <EditedPicture url={served.url} isOld={served.isOld} isWaiting={served.isOld && !served.error} mask={mask} onApproach={approach} onPick={pick} />
+          <EditedPicture url={served.url} isOld={served.isOld} isWaiting={served.isOld && !served.error} mask={mask} onPick={pick} />
           <div>
             <p class="hint">Click on a surface in the picture to select its material. The server draws the picture from the viewer's direction, under the light of this page.</p>
             <p class="small muted" role="status">{told}</p>
@@ -145,13 +143,13 @@ function Swatch({ of, edits, isChosen, onChoose, onHover, onFocus }: SwatchProps
 }
 
 /** The picture of the server. The mask of a material darkens everything else. */
-function EditedPicture({ url, isOld, isWaiting, mask, onApproach, onPick }: { url: string | undefined; isOld: boolean; isWaiting: boolean; mask: string | undefined; onApproach: () => void; onPick: (at: [number, number]) => void }) {
+function EditedPicture({ url, isOld, isWaiting, mask, onPick }: { url: string | undefined; isOld: boolean; isWaiting: boolean; mask: string | undefined; onPick: (at: [number, number]) => void }) {
   const pick = (event: MouseEvent) => {
     const box = (event.currentTarget as HTMLElement).getBoundingClientRect()
     onPick([(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height])
   }
   return (
-    <div class="edited" onPointerEnter={onApproach} style={{ aspectRatio: `${SIZE[0]} / ${SIZE[1]}` }}>
+    <div class="edited" style={{ aspectRatio: `${SIZE[0]} / ${SIZE[1]}` }}>
       {url ? <img src={url} alt="The model with the changes" class={isOld ? 'waiting' : ''} onClick={pick} /> : null}
       {mask ? <img src={mask} alt="" class="mask" /> : null}
       {isWaiting ? <p class="late"><span class="spinner" />The picture is on its way</p> : null}

@@ -15,8 +15,10 @@ use relume_layout::constants::ALPHA_MAX;
 use relume_scene::light::LightCell;
 use relume_scene::{Field, opaque_centre, opaque_radius};
 
-/// Pictures that are in memory at the same time.
+/// Most pictures that are in memory at the same time.
 const GROUP: usize = 32;
+/// Gaussians of a group of pictures together.
+const GROUP_GAUSSIANS: usize = 640_000;
 /// Radius of the ball in which the model is searched, normalised world.
 const REACH: f64 = 4.0;
 /// Radius of a model with too few opaque Gaussians, normalised world.
@@ -40,12 +42,12 @@ pub struct Ground {
     radius: f32,
 }
 
-/// What a point of the plane sees of the model.
+/// What a point of the plane sees of the model: sums or means over directions.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct GroundView {
-    /// Mean transmittance of the directions: ambient occlusion.
+    /// Transmittance; its mean is the ambient occlusion.
     pub open: f32,
-    /// Mean radiance from the model.
+    /// Radiance from the model.
     pub radiance: [f32; 3],
 }
 
@@ -78,66 +80,82 @@ fn reach(occluders: &[(usize, Occluder)], centre: Vec3, ball: f32) -> f32 {
     reaches.get(last.min(reaches.len().saturating_sub(1))).map_or(ball, |reach| *reach)
 }
 
-impl Ground {
-    /// For each of `points` of the plane, the irradiance of `cells` that passes the model. The pictures of the model have at most
-    /// `side` texels along a side, fewer for large cells.
-    pub fn irradiance(&self, points: &[Vec3], cells: &[LightCell], side: usize) -> Vec<[f32; 3]> {
-        let mut sums = vec![[0.0f32; 3]; points.len()];
-        for cells in cells.chunks(GROUP) {
-            let pictures: Vec<Picture<1>> = cells
-                .par_iter()
-                .map(|cell| {
-                    let side = side_for(cell.solid_angle).min(side);
-                    self.picture(cell.direction, side, |_, _| [], |[left], [], alpha| [left * (1.0 - alpha)])
-                })
-                .collect();
-            sums.par_iter_mut().zip(points).with_min_len(256).for_each(|(sum, point)| {
-                for (picture, cell) in pictures.iter().zip(cells) {
-                    let [left] = picture.at(*point);
-                    (0..3).for_each(|c| sum[c] += left * cell.irradiance[c]);
-                }
-            });
-        }
-        sums
+impl GroundView {
+    /// The sums of `count` directions as means.
+    #[must_use]
+    pub fn mean(self, count: usize) -> Self {
+        let share = 1.0 / count.max(1) as f32;
+        Self { open: self.open * share, radiance: self.radiance.map(|v| v * share) }
+    }
+}
+
+/// The radiance that a model sends to the plane under a light.
+pub struct GroundRadiance<'a> {
+    light: &'a HostLight,
+    outward: Vec<Vec3>,
+}
+
+impl<'a> GroundRadiance<'a> {
+    /// The radiance of the model of `light`.
+    pub fn new(light: &'a HostLight) -> Self {
+        Self { light, outward: outward_normals(&light.source()) }
     }
 
-    /// For each of `points` of the plane, the mean over `directions` of what it sees of the model under `light`. `light` must belong to
-    /// this model; `None`: without radiance. What no photograph shows is dark: the inner side of a surface, and Gaussians with a negative
-    /// sampling rate.
-    pub fn views(
+    /// Radiance of Gaussian `i` that a point in direction `-d` sees. What no photograph shows is dark: the inner side of a surface, and
+    /// Gaussians with a negative sampling rate.
+    fn sent(&self, i: usize, d: Vec3) -> [f32; 3] {
+        let is_hidden = self.light.source().gaussians.row(Field::SamplingRate, i)[0] < 0.0;
+        if is_hidden || dot(self.outward[i], d) >= 0.0 { [0.0; 3] } else { self.light.outgoing(i, d).total() }
+    }
+}
+
+impl Ground {
+    /// Number of directions to compute together, so that a call takes a fraction of a second.
+    pub fn group(&self) -> usize {
+        (GROUP_GAUSSIANS / self.occluders.len().max(1)).clamp(2, GROUP)
+    }
+
+    /// Adds to `sums`, for each of `points` of the plane, the irradiance of `cells` that passes the model. The pictures of the model have at
+    /// most `side` texels along a side, fewer for large cells.
+    pub fn add_irradiance(&self, sums: &mut [[f32; 3]], points: &[Vec3], cells: &[LightCell], side: usize) {
+        let pictures: Vec<Picture<1>> = cells
+            .par_iter()
+            .map(|cell| {
+                let side = side_for(cell.solid_angle).min(side);
+                self.picture(cell.direction, side, |_, _| [], |[left], [], alpha| [left * (1.0 - alpha)])
+            })
+            .collect();
+        sums.par_iter_mut().zip(points).with_min_len(256).for_each(|(sum, point)| {
+            for (picture, cell) in pictures.iter().zip(cells) {
+                let [left] = picture.at(*point);
+                (0..3).for_each(|c| sum[c] += left * cell.irradiance[c]);
+            }
+        });
+    }
+
+    /// Adds to `sums`, for each of `points` of the plane, what it sees of the model in each of `directions`, with the radiance of `light`.
+    pub fn add_views(
         &self,
+        sums: &mut [GroundView],
         points: &[Vec3],
         directions: &[Vec3],
-        light: Option<&HostLight>,
+        light: Option<&GroundRadiance<'_>>,
         side: usize,
-    ) -> Vec<GroundView> {
-        let mut sums = vec![[0.0f32; 4]; points.len()];
-        let lit = light.map(|light| (light, light.source(), outward_normals(&light.source())));
-        let sent = |i: usize, d: Vec3| {
-            let Some((light, source, outward)) = &lit else { return [0.0; 3] };
-            let is_hidden = source.gaussians.row(Field::SamplingRate, i)[0] < 0.0;
-            if is_hidden || dot(outward[i], d) >= 0.0 { [0.0; 3] } else { light.outgoing(i, d).total() }
-        };
+    ) {
+        let sent = |i: usize, d: Vec3| light.map_or([0.0; 3], |light| light.sent(i, d));
         let blend = |[left, r, g, b]: [f32; 4], [x, y, z]: [f32; 3], alpha: f32| {
             let weight = left * alpha;
             [left - weight, r + weight * x, g + weight * y, b + weight * z]
         };
-        for directions in directions.chunks(GROUP) {
-            let pictures: Vec<Picture<4>> =
-                directions.par_iter().map(|d| self.picture(*d, side, sent, blend)).collect();
-            sums.par_iter_mut().zip(points).with_min_len(256).for_each(|(sum, point)| {
-                for picture in &pictures {
-                    let seen = picture.at(*point);
-                    (0..4).for_each(|c| sum[c] += seen[c]);
-                }
-            });
-        }
-        let share = 1.0 / directions.len().max(1) as f32;
-        let view = |[open, r, g, b]: [f32; 4]| GroundView {
-            open: open * share,
-            radiance: [r, g, b].map(|v| v * share),
-        };
-        sums.into_iter().map(view).collect()
+        let pictures: Vec<Picture<4>> =
+            directions.par_iter().map(|d| self.picture(*d, side, sent, blend)).collect();
+        sums.par_iter_mut().zip(points).with_min_len(256).for_each(|(sum, point)| {
+            for picture in &pictures {
+                let [open, radiance @ ..] = picture.at(*point);
+                sum.open += open;
+                (0..3).for_each(|c| sum.radiance[c] += radiance[c]);
+            }
+        });
     }
 
     /// The picture along `d`. The Gaussians are blended from the plane on; `sent` is what a Gaussian sends towards the plane.
@@ -166,7 +184,7 @@ impl Ground {
     }
 }
 
-/// Texels along a side of the picture for a cell of light, whose shadow is no sharper than the cell is small: a texel is 0.3 of the
+/// Texels along a side of the picture for a cell of light. A large cell casts a soft shadow, which needs few texels: a texel is 0.3 of the
 /// width of the cell at the distance of the model's radius.
 fn side_for(solid_angle: f32) -> usize {
     (2.0 / (0.3 * solid_angle.max(0.0).sqrt())).max(MIN_SIDE) as usize
@@ -185,7 +203,7 @@ struct Picture<const N: usize> {
 }
 
 impl<const N: usize> Picture<N> {
-    /// Nothing but light.
+    /// A texel without Gaussians: transmittance 1, radiance 0.
     const EMPTY: [f32; N] = {
         let mut empty = [0.0; N];
         empty[0] = 1.0;
@@ -294,7 +312,8 @@ mod tests {
         let model = ball();
         let direction = glam::Vec3::new(0.5, 0.2, 0.7).normalize().to_array();
         let cell = LightCell { direction, irradiance: [1.0, 2.0, 0.5], solid_angle: 1e-5 };
-        let found = model.ground(0.0).irradiance(&points(), &[cell], 512);
+        let mut found = vec![[0.0; 3]; points().len()];
+        model.ground(0.0).add_irradiance(&mut found, &points(), &[cell], 512);
         let options = ShadingOptions::default();
         let source = model.source(&[], &[], &NO_INDIRECT_BASIS);
         let source = crate::cpu::AttributeSource { options: &options, ..source };
@@ -313,18 +332,25 @@ mod tests {
     }
 
     #[test]
-    fn points_near_the_model_see_less_sky_and_more_of_it() {
+    fn points_near_the_model_see_less_sky_and_more_model() {
         let model = Arc::new(ball());
         let light = model.prepare_light(model.light_tables(&EnvMap::constant(16, 8, [1.0; 3]).into()));
         let directions: Vec<Vec3> = fibonacci_sphere(256).into_iter().filter(|d| d[2] > 0.0).collect();
         let near_and_far = [[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [3.0, 0.0, 0.0]];
         let ground = model.ground(0.0);
-        let views = ground.views(&near_and_far, &directions, Some(&light), 128);
+        let radiance = GroundRadiance::new(&light);
+        let views = |light: Option<&GroundRadiance<'_>>| {
+            let mut sums = [GroundView::default(); 3];
+            directions
+                .chunks(50)
+                .for_each(|some| ground.add_views(&mut sums, &near_and_far, some, light, 128));
+            sums.map(|sum| sum.mean(directions.len()))
+        };
+        let (dark, views) = (views(None), views(Some(&radiance)));
         assert!(views[0].open < 0.6 && views[1].open > views[0].open && views[2].open > 0.98, "{views:?}");
         assert!(views[0].radiance[0] > views[1].radiance[0] && views[1].radiance[0] > views[2].radiance[0]);
         // A surface of albedo 1/2 sends less than half of the light of the sky.
         assert!(views.iter().all(|view| view.radiance[0] <= 0.5 * (1.0 - view.open) + 1e-3), "{views:?}");
-        let dark = ground.views(&near_and_far, &directions, None, 128);
         assert!(
             dark.iter().zip(&views).all(|(dark, view)| dark.radiance == [0.0; 3] && dark.open == view.open)
         );
@@ -334,12 +360,17 @@ mod tests {
     fn gaussians_below_the_plane_do_not_count() {
         let model = ball();
         let cell = LightCell { direction: [0.0, 0.0, 1.0], irradiance: [1.0; 3], solid_angle: 1e-5 };
-        let above = |height: f32| model.ground(height).irradiance(&[[0.0, 0.0, height]], &[cell], 256)[0][0];
+        let above = |height: f32| {
+            let mut sums = [[0.0; 3]];
+            model.ground(height).add_irradiance(&mut sums, &[[0.0, 0.0, height]], &[cell], 256);
+            sums[0][0]
+        };
         assert_eq!(above(1.1), 1.0);
         assert!(above(0.0) < 0.2, "the control: {}", above(0.0));
         let empty = Model::new(Gaussians::zeroed(0, 1, 2, 0), vec![[0.5; 3]], vec![[0.0; 3]; 8], (4, 2));
         let empty = HostModel::new(Arc::new(empty));
-        let found = empty.ground(0.0).irradiance(&[[f32::NAN; 3], [0.0; 3]], &[cell], 16);
+        let mut found = [[0.0; 3]; 2];
+        empty.ground(0.0).add_irradiance(&mut found, &[[f32::NAN; 3], [0.0; 3]], &[cell], 16);
         assert_eq!(found, [[1.0; 3]; 2]);
     }
 }

@@ -19,6 +19,8 @@ use relume_scene::{Field, VisibilityForm};
 const CHANNELS: usize = 6;
 /// Floats per splat, whole groups of channels.
 const STORED: usize = 8;
+/// Rays of one step.
+const STEP_RAYS: usize = 1 << 19;
 /// Splats of one parallel task.
 const SPLATS_AT_ONCE: usize = 64;
 /// Least distance of a lamp, normalised world: nearer surfaces receive as much light as at this distance.
@@ -35,7 +37,7 @@ pub struct Lamp {
     pub cone: Option<LampCone>,
     /// Radiant intensity along the normal or axis: irradiance of a surface that faces the lamp, times the square of its distance.
     pub intensity: [f32; 3],
-    /// Radius of a disc of the same area, which widens highlights.
+    /// Radius of a disc of the area of a point's share of the surface, which widens highlights.
     pub radius: f32,
 }
 
@@ -71,28 +73,72 @@ pub enum LampShadows {
     InPixels,
 }
 
+/// A frame under lamps that is computed in steps of a fraction of a second.
+pub struct LampFrame<'a> {
+    shading: LampShading<'a>,
+    lamps: Vec<Lamp>,
+    splats: ShownSplats,
+    /// The surfaces of the pixels, for shadows in pixels.
+    pass: Option<Pass>,
+    /// The lamp and the row that come next.
+    lamp: usize,
+    row: usize,
+    /// The next lamp without shadows.
+    parts: [Vec<f32>; 2],
+    sums: [Vec<f32>; 2],
+}
+
 impl HostModel {
-    /// Diffuse and specular radiance of `view` under `lamps` alone, linear RGB, premultiplied, row-major. Surfaces do not send the light on
-    /// to each other. Models that are shaded in the pixel are shaded at their Gaussians.
-    pub fn lamp_light(&self, view: RasterCamera, lamps: &[Lamp], shadows: LampShadows) -> [Vec<f32>; 2] {
+    /// The frame of `view` under `lamps` alone. Surfaces do not send the light on to each other. Models that are shaded in the pixel are
+    /// shaded at their Gaussians.
+    pub fn lamp_frame(&self, view: RasterCamera, lamps: Vec<Lamp>, shadows: LampShadows) -> LampFrame<'_> {
         let source = self.source(&[], &[], &NO_INDIRECT_BASIS);
         let splats = ShownSplats::new(&source, view);
-        let shading = LampShading { host: self, source, outward: outward_normals(&source), view };
-        if shadows == LampShadows::AtGaussians || source.options.visibility == VisibilityForm::Off {
-            return shading.planes(&splats, lamps, true);
-        }
+        let has_pass = shadows == LampShadows::InPixels && source.options.visibility != VisibilityForm::Off;
         let channels = Channels::Full(source.gaussians.width(Field::Visibility));
-        let pass = Pass::forward(&source, view, channels, EarlyStop::WhenSaturated);
-        let mut sums = [0, 1].map(|_| zeros(3 * view.width * view.height));
-        for lamp in lamps {
-            let parts = shading.planes(&splats, std::slice::from_ref(lamp), false);
-            let shares = shading.shares(&pass, lamp, &parts);
-            for (sum, part) in sums.iter_mut().zip(&parts) {
-                let pixels = sum.as_chunks_mut::<3>().0.iter_mut().zip(part.as_chunks::<3>().0).zip(&shares);
-                pixels.for_each(|((sum, part), share)| (0..3).for_each(|c| sum[c] += share * part[c]));
-            }
+        let pass = has_pass.then(|| Pass::forward(&source, view, channels, EarlyStop::WhenSaturated));
+        let shading = LampShading { host: self, source, outward: outward_normals(&source), view };
+        let sums = [0, 1].map(|_| zeros(3 * view.width * view.height));
+        LampFrame { shading, lamps, splats, pass, lamp: 0, row: 0, parts: [Vec::new(), Vec::new()], sums }
+    }
+}
+
+impl LampFrame<'_> {
+    /// Computes a part. Returns false when all lamps are done.
+    pub fn step(&mut self) -> bool {
+        let Some(lamp) = self.lamps.get(self.lamp) else { return false };
+        if self.row == 0 {
+            self.parts = self.shading.planes(&self.splats, lamp, self.pass.is_none());
         }
-        sums
+        let RasterCamera { width, height, .. } = self.shading.view;
+        let rows = match &self.pass {
+            None => height,
+            Some(_) => (STEP_RAYS / (width * lamp.points.len()).max(1)).max(1),
+        };
+        let pixels = self.row * width..(self.row + rows).min(height) * width;
+        let share = |i: usize| match &self.pass {
+            None => 1.0,
+            Some(pass) => self.shading.share(pass, lamp, &self.parts, i),
+        };
+        let shares: Vec<f32> = pixels.clone().into_par_iter().with_min_len(256).map(share).collect();
+        for (sum, part) in self.sums.iter_mut().zip(&self.parts) {
+            let values = 3 * pixels.start..3 * pixels.end;
+            let triples =
+                sum[values.clone()].as_chunks_mut::<3>().0.iter_mut().zip(part[values].as_chunks::<3>().0);
+            triples
+                .zip(&shares)
+                .for_each(|((sum, part), share)| (0..3).for_each(|c| sum[c] += share * part[c]));
+        }
+        self.row += rows;
+        if self.row >= height {
+            (self.row, self.lamp) = (0, self.lamp + 1);
+        }
+        self.lamp < self.lamps.len()
+    }
+
+    /// Diffuse and specular radiance of the steps so far, linear RGB, premultiplied, row-major.
+    pub fn into_planes(self) -> [Vec<f32>; 2] {
+        self.sums
     }
 }
 
@@ -104,15 +150,15 @@ struct LampShading<'a> {
 }
 
 impl LampShading<'_> {
-    /// The frame under `lamps`: a plane of diffuse and one of specular RGB.
-    fn planes(&self, splats: &ShownSplats, lamps: &[Lamp], has_shadows: bool) -> [Vec<f32>; 2] {
+    /// The frame under `lamp`: a plane of diffuse and one of specular RGB.
+    fn planes(&self, splats: &ShownSplats, lamp: &Lamp, has_shadows: bool) -> [Vec<f32>; 2] {
         let mut attributes = zeros(splats.splats.len() * STORED);
         let rows = splats.rows_of_shown(&mut attributes, STORED);
         let shown = rows.into_par_iter().zip(&splats.shown);
         let shown = shown.zip(splats.materials.par_chunks(ShownSplats::MATERIAL));
         shown.with_min_len(SPLATS_AT_ONCE).for_each(|((row, splat), material)| {
             let i = splats.splats[*splat as usize].gaussian as usize;
-            let [diffuse, specular] = self.radiance(i, material, lamps, has_shadows);
+            let [diffuse, specular] = self.radiance(i, material, lamp, has_shadows);
             row[..3].copy_from_slice(&diffuse);
             row[3..CHANNELS].copy_from_slice(&specular);
         });
@@ -129,29 +175,25 @@ impl LampShading<'_> {
         out
     }
 
-    /// Share of `lamp` that reaches the surface of each pixel in which `parts` are not dark.
-    fn shares(&self, pass: &Pass, lamp: &Lamp, parts: &[Vec<f32>; 2]) -> Vec<f32> {
-        let width = self.view.width;
-        let share = |i: usize| {
-            let is_lit = parts.iter().any(|part| part[3 * i..3 * i + 3].iter().any(|v| *v > 0.0));
-            let (x, y) = (i % width, i / width);
-            if !is_lit || surface_at(pass, x, y).is_none() {
-                return 0.0;
-            }
-            let starts = surface_points(pass, (x, y), SHADOW_SAMPLE_OFFSETS);
-            let rays = lamp.points.len().max(starts.len());
-            let ray = |k: usize| {
-                let start = starts[k % starts.len()];
-                let (towards, distance) = direction(start, lamp.points[k % lamp.points.len()]);
-                self.host.occluders().transmittance_up_to(start, towards, distance)
-            };
-            (0..rays).map(ray).sum::<f32>() / rays as f32
+    /// Share of `lamp` that reaches the surface of row-major pixel `i`; 0 where `parts`, the frame without shadows, are dark.
+    fn share(&self, pass: &Pass, lamp: &Lamp, parts: &[Vec<f32>; 2], i: usize) -> f32 {
+        let is_lit = parts.iter().any(|part| part[3 * i..3 * i + 3].iter().any(|v| *v > 0.0));
+        let (x, y) = (i % self.view.width, i / self.view.width);
+        if !is_lit || surface_at(pass, x, y).is_none() {
+            return 0.0;
+        }
+        let starts = surface_points(pass, (x, y), SHADOW_SAMPLE_OFFSETS);
+        let rays = lamp.points.len().max(starts.len());
+        let ray = |k: usize| {
+            let start = starts[k % starts.len()];
+            let (towards, distance) = direction(start, lamp.points[k % lamp.points.len()]);
+            self.host.occluders().transmittance_up_to(start, towards, distance)
         };
-        (0..width * self.view.height).into_par_iter().with_min_len(256).map(share).collect()
+        (0..rays).map(ray).sum::<f32>() / rays as f32
     }
 
     /// Diffuse and specular radiance of Gaussian `i` with attributes `material` towards the camera.
-    fn radiance(&self, i: usize, material: &[f32], lamps: &[Lamp], has_shadows: bool) -> [[f32; 3]; 2] {
+    fn radiance(&self, i: usize, material: &[f32], lamp: &Lamp, has_shadows: bool) -> [[f32; 3]; 2] {
         let mean: Vec3 = self.source.gaussians.get(Field::Mean, i);
         let surface =
             self.source.surface(i, material, std::array::from_fn(|k| mean[k] - self.view.centre[k]));
@@ -162,23 +204,21 @@ impl LampShading<'_> {
         let reflector = reflector(&surface, self.source.options);
         let start = self.start(i, mean);
         let mut sums = [[0.0f32; 3]; 2];
-        for lamp in lamps {
-            let share = 1.0 / lamp.points.len().max(1) as f32;
-            for point in &lamp.points {
-                let (towards, distance) = direction(start, *point);
-                let emission = lamp.emission(towards.map(|v| -v));
-                if !(emission > 0.0 && dot(normal, towards) > 0.0) {
-                    continue;
-                }
-                let arriving = if has_shadows { self.transmittance(start, towards, distance) } else { 1.0 };
-                let distance = distance.max(MIN_DISTANCE);
-                let received = emission * arriving * share / (distance * distance);
-                let d = DVec3::from_array(towards.map(f64::from));
-                let Some(sent) = reflector.reflect(d, f64::from(lamp.radius / distance)) else { continue };
-                for c in 0..3 {
-                    sums[0][c] += lamp.intensity[c] * received * sheen * sent.diffuse[c] as f32;
-                    sums[1][c] += lamp.intensity[c] * received * sent.specular[c] as f32;
-                }
+        let share = 1.0 / lamp.points.len().max(1) as f32;
+        for point in &lamp.points {
+            let (towards, distance) = direction(start, *point);
+            let emission = lamp.emission(towards.map(|v| -v));
+            if !(emission > 0.0 && dot(normal, towards) > 0.0) {
+                continue;
+            }
+            let arriving = if has_shadows { self.transmittance(start, towards, distance) } else { 1.0 };
+            let distance = distance.max(MIN_DISTANCE);
+            let received = emission * arriving * share / (distance * distance);
+            let d = DVec3::from_array(towards.map(f64::from));
+            let Some(sent) = reflector.reflect(d, f64::from(lamp.radius / distance)) else { continue };
+            for c in 0..3 {
+                sums[0][c] += lamp.intensity[c] * received * sheen * sent.diffuse[c] as f32;
+                sums[1][c] += lamp.intensity[c] * received * sent.specular[c] as f32;
             }
         }
         sums
@@ -257,7 +297,9 @@ mod tests {
     fn middle(model: &HostModel, lamps: &[Lamp]) -> [f32; 3] {
         let view = view(model, DVec3::new(1.5, 0.0, 1.2));
         let of = |shadows| {
-            let [diffuse, _] = model.lamp_light(view, lamps, shadows);
+            let mut frame = model.lamp_frame(view, lamps.to_vec(), shadows);
+            while frame.step() {}
+            let [diffuse, _] = frame.into_planes();
             std::array::from_fn(|c| diffuse[3 * (16 * 33 + 16) + c])
         };
         let (at_gaussians, in_pixels): ([f32; 3], [f32; 3]) =

@@ -48,10 +48,10 @@ pub use branch_images::{BranchImages, BufferGradient, radiance_image, radiance_i
 pub(crate) use frames::CpuFrameRenderer;
 pub use frames::blended_radiance;
 pub use gather::{Transport, sky_irradiance};
-pub use ground::{Ground, GroundView};
+pub use ground::{Ground, GroundRadiance, GroundView};
 pub use host::{HostLight, HostModel, SurfaceEdit, VisibleSurface};
 pub use labels::{BackwardLabel, backward_labels};
-pub use lamps::{Lamp, LampCone, LampShadows};
+pub use lamps::{Lamp, LampCone, LampFrame, LampShadows};
 pub(crate) use lanes::exp_negative;
 pub use lanes::{LANES, Lanes};
 pub use light_matrix::{LightMatrix, MatrixLight};

@@ -47,13 +47,21 @@ pub fn light_cells(light: &Illumination, count: usize) -> Vec<LightCell> {
 /// Directions spread evenly over a disc of angular radius `radius`, radians.
 fn disc(towards: DVec3, radius: f64) -> Vec<DVec3> {
     let (u, v) = towards.any_orthonormal_pair();
-    let golden = PI * (3.0 - 5.0f64.sqrt());
-    let at = |i: usize| {
-        let (sin, cos) = (golden * i as f64).sin_cos();
-        let r = radius * ((i as f64 + 0.5) / OF_LIGHT as f64).sqrt();
-        (towards + r.tan() * (u * cos + v * sin)).normalize()
+    let at = |[x, y]: [f64; 2]| {
+        let scale = radius.tan();
+        (towards + scale * (x * u + y * v)).normalize()
     };
-    (0..OF_LIGHT).map(at).collect()
+    disc_points(OF_LIGHT).map(at).collect()
+}
+
+/// `n` points spread evenly over the unit disc (golden angle).
+pub fn disc_points(n: usize) -> impl Iterator<Item = [f64; 2]> {
+    let golden = PI * (3.0 - 5.0f64.sqrt());
+    (0..n).map(move |i| {
+        let (sin, cos) = (golden * i as f64).sin_cos();
+        let r = ((i as f64 + 0.5) / n as f64).sqrt();
+        [r * cos, r * sin]
+    })
 }
 
 /// Texels of a rectangle of the map.

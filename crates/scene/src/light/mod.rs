@@ -25,7 +25,7 @@ mod tables;
 pub const DAYLIGHT: [f32; 3] = [0.80, 0.94, 1.26];
 
 pub use brdf::{BrdfLut, DiffuseShare, LutSample, ggx_d, ggx_smith_correlated};
-pub use cells::{LightCell, light_cells};
+pub use cells::{LightCell, disc_points, light_cells};
 pub use colour::{LightColour, luminance};
 pub use dominant::{DominantLight, SplitEnvironment};
 pub use grid::{CubeGrid, Taps};

@@ -6,8 +6,9 @@ use std::collections::BTreeMap;
 use crate::render::Frame;
 use crate::render::error::RenderError;
 use crate::render::ground::{GroundPlanes, positions};
+use crate::render::lamps::add_lamps;
 use crate::render::renderer::{PreparedLight, Renderer};
-use relume_engine::{DeviceError, FrameJob, RasterCamera, RayLight};
+use relume_engine::{DeviceError, FrameJob, LampFrame, RasterCamera, RayLight};
 use relume_layout::constants::TILE;
 use relume_scene::Camera;
 use relume_spec::rendering::{Lamp, Output, Quality, Tier};
@@ -25,11 +26,26 @@ pub struct Bands<'a> {
     /// Height of the ground, capture units; `None`: [`Renderer::ground_height`].
     ground: Option<f64>,
     lamps: Vec<Lamp>,
+    /// What is computed after the bands.
+    rest: Rest<'a>,
     /// Rows of a band: whole tiles where the device allows, so that no tile is blended twice.
     rows: usize,
     /// Completed rows.
     done: usize,
     frame: Frame,
+}
+
+/// What is computed after the bands, in steps.
+enum Rest<'a> {
+    /// The bands are not complete.
+    Unknown,
+    /// The rows from `first` on under lamps.
+    Lamps {
+        first: usize,
+        frame: Box<LampFrame<'a>>,
+    },
+    Ground(Box<GroundPlanes<'a>>),
+    Nothing,
 }
 
 impl Renderer {
@@ -88,6 +104,7 @@ impl Renderer {
             of_device,
             ground: None,
             lamps: Vec::new(),
+            rest: Rest::Unknown,
             rows,
             done: 0,
             frame,
@@ -119,16 +136,14 @@ impl Bands<'_> {
         Self { lamps, ..self }
     }
 
-    /// Renders the next band, and after the last one the light of lamps and the planes of the ground. Returns false when the frame is complete.
+    /// Renders the next band, and after the last one a step of the light of lamps and of the planes of the ground. Returns false when the frame is complete.
     ///
     /// # Errors
     /// The device failed.
     pub fn render_next(&mut self) -> Result<bool, RenderError> {
         let first = self.done;
         if first == self.view.height {
-            self.add_lamps();
-            self.add_ground();
-            return Ok(false);
+            return Ok(self.continue_rest());
         }
         let mut view = self.view;
         view.height = self.rows.min(self.view.height - first);
@@ -137,7 +152,7 @@ impl Bands<'_> {
         self.done += view.height;
         if first == 0 && self.done == self.view.height {
             self.frame.planes = band.planes;
-            return Ok(self.is_incomplete());
+            return Ok(self.end_bands());
         }
         for (output, mut values) in band.planes {
             let plane = self.frame.planes.entry(output).or_default();
@@ -146,14 +161,11 @@ impl Bands<'_> {
             }
             plane.append(&mut values);
         }
-        Ok(self.is_incomplete())
+        if self.done < self.view.height { Ok(true) } else { Ok(self.end_bands()) }
     }
 
-    /// Whether a band or a plane that no device renders is missing. Adds the positions when all bands are there.
-    fn is_incomplete(&mut self) -> bool {
-        if self.done < self.view.height {
-            return true;
-        }
+    /// Adds the positions to the complete bands. Returns whether lamps or the ground remain.
+    fn end_bands(&mut self) -> bool {
         let model = self.renderer.model();
         let depths = self.frame.planes.get(&Output::Depth);
         if let (true, Some(depths)) = (self.outputs.contains(&Output::Position), depths) {
@@ -162,29 +174,63 @@ impl Bands<'_> {
         }
         let outputs = &self.outputs;
         self.frame.planes.retain(|output, _| outputs.contains(output));
-        self.has_lamps() || self.outputs.iter().any(|output| output.is_of_ground())
-    }
-
-    /// Whether the frame shows light of lamps.
-    fn has_lamps(&self) -> bool {
         let shows = |output: &Output| matches!(output, Output::Rgb | Output::Diffuse | Output::Specular);
-        !self.lamps.is_empty() && self.outputs.iter().any(shows)
-    }
-
-    fn add_lamps(&mut self) {
-        if self.has_lamps() {
-            self.renderer.add_lamps(&mut self.frame, self.view, &self.lamps, self.quality.tier);
+        if self.lamps.is_empty() || !self.outputs.iter().any(shows) {
+            return self.begin_ground();
         }
+        self.begin_lamps(0);
+        true
     }
 
-    /// Adds the planes of the ground, if they are requested.
-    fn add_ground(&mut self) {
+    /// Prepares a band of the light of lamps, from row `first` on.
+    fn begin_lamps(&mut self, first: usize) {
+        let rows = rows(self.view.width, self.quality, Quality::CPU_BAND_COST, usize::MAX);
+        let mut view = self.view;
+        view.height = rows.min(self.view.height - first);
+        view.centre_px[1] -= first as f32;
+        let frame = self.renderer.lamp_frame(view, &self.lamps, self.quality.tier);
+        self.rest = Rest::Lamps { first, frame: Box::new(frame) };
+    }
+
+    /// Prepares the planes of the ground. Returns false if none is requested.
+    fn begin_ground(&mut self) -> bool {
         if !self.outputs.iter().any(|output| output.is_of_ground()) {
-            return;
+            self.rest = Rest::Nothing;
+            return false;
         }
-        let Self { renderer, light, view, .. } = *self;
-        let height = renderer.normalised_height(self.ground);
-        GroundPlanes { renderer, light, view, height }.add_to(&mut self.frame, &self.outputs);
+        let height = self.renderer.normalised_height(self.ground);
+        let planes = GroundPlanes::new(self.renderer, self.light, &self.view, height, &self.outputs);
+        self.rest = Rest::Ground(Box::new(planes));
+        true
+    }
+
+    /// Computes the next step of lamps or ground. Returns false when the frame is complete.
+    fn continue_rest(&mut self) -> bool {
+        let has_more = match &mut self.rest {
+            Rest::Lamps { frame, .. } => frame.step(),
+            Rest::Ground(ground) => ground.step(),
+            Rest::Unknown | Rest::Nothing => false,
+        };
+        if has_more {
+            return true;
+        }
+        match std::mem::replace(&mut self.rest, Rest::Nothing) {
+            Rest::Lamps { first, frame } => {
+                let planes = frame.into_planes();
+                let done = first + planes[0].len() / (3 * self.view.width).max(1);
+                add_lamps(&mut self.frame, first * self.view.width, &planes);
+                if done >= self.view.height {
+                    return self.begin_ground();
+                }
+                self.begin_lamps(done);
+                true
+            }
+            Rest::Ground(ground) => {
+                ground.add_to(&mut self.frame);
+                false
+            }
+            Rest::Unknown | Rest::Nothing => false,
+        }
     }
 
     /// The frame with the bands rendered so far.

@@ -33,7 +33,7 @@ impl EncodeOptions {
         use FrameFormat::{Exr, Jpeg, Png};
         let refuse = |field, reason: &str| Err(RenderError::Refused { field, reason: reason.to_owned() });
         if format != Exr && outputs.contains(&Output::Position) {
-            return refuse("outputs", "position requires EXR, which stores any number");
+            return refuse("outputs", "position needs EXR: PNG and JPEG cannot store coordinates");
         }
         match (self.background, format) {
             (Background::Colour(_), Exr) => {

@@ -2,7 +2,7 @@
 
 use relume_capture::formats::exr_frame::{ExrLens, FrameAttributes};
 use relume_scene::Camera;
-use relume_spec::rendering::{AlphaMode, Background, Quality, Tier};
+use relume_spec::rendering::{AlphaMode, Background, Lamp, Quality, Tier};
 
 /// Metadata of an image file about its rendering.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -23,6 +23,8 @@ pub struct FrameMetadata {
     pub frames_per_second: Option<u32>,
     /// Height of the ground, capture units, if it was given.
     pub ground_height: Option<f64>,
+    /// Lamps beside the light.
+    pub lamps: Vec<Lamp>,
 }
 
 impl FrameMetadata {
@@ -43,6 +45,9 @@ impl FrameMetadata {
         }
         if let Some(height) = self.ground_height {
             texts.push(("relume:ground_height", height.to_string()));
+        }
+        if let (false, Ok(lamps)) = (self.lamps.is_empty(), serde_json::to_string(&self.lamps)) {
+            texts.push(("relume:lamps", lamps));
         }
         texts.retain(|(_, text)| !text.is_empty());
         let frames_per_second = self.frames_per_second;

@@ -3,8 +3,8 @@
 use glam::DVec3;
 
 use crate::render::{Frame, PreparedLight, Renderer};
-use relume_engine::{GroundView, RasterCamera};
-use relume_scene::light::light_cells;
+use relume_engine::{Ground, GroundRadiance, GroundView, RasterCamera};
+use relume_scene::light::{LightCell, disc_points, light_cells};
 use relume_scene::{Output, opaque_bottom};
 
 /// Cells of the light, besides its strong small lights.
@@ -20,13 +20,27 @@ const SEEN_SIDE: usize = 64;
 /// Radius of the ball in which the lowest point of a model is searched, normalised world.
 const REACH: f64 = 4.0;
 
-/// The planes of the ground, ready to be added to frames.
+/// The planes of the ground of a frame, computed in steps of a fraction of a second.
 pub(super) struct GroundPlanes<'a> {
-    pub(super) renderer: &'a Renderer,
-    pub(super) light: &'a PreparedLight,
-    pub(super) view: RasterCamera,
-    /// Height of the ground, normalised world.
-    pub(super) height: f32,
+    /// Those of the requested outputs that the ground has.
+    outputs: Vec<Output>,
+    size: (usize, usize),
+    /// Pixels between computed places.
+    step: usize,
+    /// For each place, whether it shows the ground.
+    hits: Vec<bool>,
+    /// The points of the ground at the places that show it, normalised world.
+    points: Vec<[f32; 3]>,
+    ground: Ground,
+    /// Most texels along a side of the pictures for shadows.
+    side: usize,
+    cells: Vec<LightCell>,
+    directions: Vec<[f32; 3]>,
+    radiance: Option<GroundRadiance<'a>>,
+    received: Vec<[f32; 3]>,
+    views: Vec<GroundView>,
+    /// Cells and directions that are done.
+    done: [usize; 2],
 }
 
 /// Values of a point of the ground.
@@ -74,100 +88,128 @@ impl Renderer {
     }
 }
 
-impl GroundPlanes<'_> {
-    /// Adds those of `outputs` that the ground has.
-    pub(super) fn add_to(&self, frame: &mut Frame, outputs: &[Output]) {
+impl<'a> GroundPlanes<'a> {
+    /// Prepares the planes among `outputs` for the ground at `height`, normalised world.
+    pub(super) fn new(
+        renderer: &'a Renderer,
+        light: &'a PreparedLight,
+        view: &RasterCamera,
+        height: f32,
+        outputs: &[Output],
+    ) -> Self {
         let outputs: Vec<Output> = outputs.iter().copied().filter(|output| output.is_of_ground()).collect();
-        let points = self.points(&outputs);
-        for output in outputs {
-            frame
-                .planes
-                .insert(output, points.iter().flat_map(|point| point.values(output)).copied().collect());
-        }
-    }
-
-    /// The values of each pixel, row-major.
-    fn points(&self, outputs: &[Output]) -> Vec<GroundPoint> {
-        let (width, height) = (self.view.width, self.view.height);
-        let step =
-            (1..).find(|step| width.div_ceil(*step) * height.div_ceil(*step) <= MAX_POINTS).unwrap_or(1);
-        if step == 1 {
-            let places: Vec<[f32; 2]> =
-                (0..width * height).map(|i| [(i % width) as f32 + 0.5, (i / width) as f32 + 0.5]).collect();
-            return self.values(&places, outputs);
-        }
-        // Nodes of a grid that covers the centres of all pixels.
-        let (columns, rows) = ((width - 1) / step + 2, (height - 1) / step + 2);
+        let size @ (width, height_px) = (view.width, view.height);
+        let fits = |step: &usize| width.div_ceil(*step) * height_px.div_ceil(*step) <= MAX_POINTS;
+        let step = (1..).find(fits).unwrap_or(1);
+        let (columns, rows) = nodes(size, step);
         let place = |i: usize| [((i % columns) * step) as f32 + 0.5, ((i / columns) * step) as f32 + 0.5];
-        let nodes = self.values(&(0..columns * rows).map(place).collect::<Vec<_>>(), outputs);
-        let pixel = |i: usize| {
-            let [(x, fx), (y, fy)] =
-                [i % width, i / width].map(|k| (k / step, (k % step) as f32 / step as f32));
-            let at = y * columns + x;
-            nodes[at].mix(nodes[at + 1], fx).mix(nodes[at + columns].mix(nodes[at + columns + 1], fx), fy)
-        };
-        (0..width * height).map(pixel).collect()
-    }
-
-    /// The values at places of the image.
-    fn values(&self, places: &[[f32; 2]], outputs: &[Output]) -> Vec<GroundPoint> {
-        let hits: Vec<Option<[f32; 3]>> = places.iter().map(|place| self.hit(*place)).collect();
+        let hits: Vec<_> = (0..columns * rows).map(|i| hit(view, height, place(i))).collect();
         let points: Vec<[f32; 3]> = hits.iter().flatten().copied().collect();
-        let side = (self.view.width.max(self.view.height) / 2).clamp(SIDES[0], SIDES[1]);
-        let found = self.of_ground(&points, outputs, side);
-        let mut found = found.into_iter();
-        hits.iter().map(|hit| hit.and_then(|_| found.next()).unwrap_or(GroundPoint::NONE)).collect()
+        let is_asked = |asked: &[Output]| asked.iter().any(|output| outputs.contains(output));
+        let has_shadow = is_asked(&[Output::Shadow]);
+        let has_views = is_asked(&[Output::Bounce, Output::Contact]);
+        let has_radiance = is_asked(&[Output::Bounce]);
+        Self {
+            size,
+            step,
+            hits: hits.iter().map(Option::is_some).collect(),
+            ground: renderer.host().ground(height),
+            side: (width.max(height_px) / 2).clamp(SIDES[0], SIDES[1]),
+            cells: light_cells(&light.source, CELLS),
+            directions: if has_views { cosine_directions(DIRECTIONS) } else { Vec::new() },
+            radiance: has_radiance.then(|| GroundRadiance::new(renderer.light_on_host(light))),
+            received: if has_shadow { vec![[0.0; 3]; points.len()] } else { Vec::new() },
+            views: if has_views { vec![GroundView::default(); points.len()] } else { Vec::new() },
+            points,
+            outputs,
+            done: [0; 2],
+        }
     }
 
-    /// The point of the ground at a place of the image; `None` above the horizon, and where the camera is below the ground.
-    fn hit(&self, place: [f32; 2]) -> Option<[f32; 3]> {
-        let (centre, ray) = (self.view.centre, self.view.ray_through(place));
-        let along = (self.height - centre[2]) / ray[2];
-        let is_hit = centre[2] > self.height && ray[2] < 0.0 && along.is_finite();
-        is_hit.then(|| [centre[0] + along * ray[0], centre[1] + along * ray[1], self.height])
+    /// Computes a group of directions. Returns false when all are done.
+    pub(super) fn step(&mut self) -> bool {
+        let next = |done: usize, count: usize| done..(done + self.ground.group()).min(count);
+        let cells = if self.received.is_empty() { 0 } else { self.cells.len() };
+        let directions = if self.views.is_empty() { 0 } else { self.directions.len() };
+        if self.done[0] < cells {
+            let group = next(self.done[0], cells);
+            self.done[0] = group.end;
+            self.ground.add_irradiance(&mut self.received, &self.points, &self.cells[group], self.side);
+        } else if self.done[1] < directions {
+            let group = next(self.done[1], directions);
+            self.done[1] = group.end;
+            let (directions, light) = (&self.directions[group], self.radiance.as_ref());
+            self.ground.add_views(&mut self.views, &self.points, directions, light, SEEN_SIDE);
+        }
+        self.done[0] < cells || self.done[1] < directions
     }
 
-    fn of_ground(&self, points: &[[f32; 3]], outputs: &[Output], side: usize) -> Vec<GroundPoint> {
-        let host = self.renderer.host();
-        let ground = host.ground(self.height);
-        let cells = light_cells(&self.light.source, CELLS);
+    /// Adds the planes to `frame`.
+    pub(super) fn add_to(self, frame: &mut Frame) {
+        let mut of_points = self.of_points().into_iter();
+        let is_hit = |hit: &bool| if *hit { of_points.next() } else { None };
+        let places: Vec<GroundPoint> =
+            self.hits.iter().map(is_hit).map(|point| point.unwrap_or(GroundPoint::NONE)).collect();
+        let (width, height) = self.size;
+        let columns = nodes(self.size, self.step).0;
+        let pixel = |i: usize| {
+            let part = |k: usize| (k / self.step, (k % self.step) as f32 / self.step as f32);
+            let [(x, fx), (y, fy)] = [part(i % width), part(i / width)];
+            let at = y * columns + x;
+            if self.step == 1 {
+                return places[at];
+            }
+            let [top, bottom] = [at, at + columns].map(|at| places[at].mix(places[at + 1], fx));
+            top.mix(bottom, fy)
+        };
+        for output in &self.outputs {
+            let mut plane = Vec::with_capacity(width * height * output.channels());
+            (0..width * height).for_each(|i| plane.extend_from_slice(pixel(i).values(*output)));
+            frame.planes.insert(*output, plane);
+        }
+    }
+
+    /// The values of the points.
+    fn of_points(&self) -> Vec<GroundPoint> {
         let mut open = [0.0f32; 3];
-        for cell in &cells {
+        for cell in &self.cells {
             (0..3).for_each(|c| open[c] += cell.irradiance[c]);
         }
-        // A channel without light has no shadow.
-        let share = |value: f32, c: usize| if open[c] > 0.0 { value / open[c] } else { 1.0 };
-        let mut values = vec![GroundPoint::NONE; points.len()];
-        if outputs.contains(&Output::Shadow) {
-            let received = ground.irradiance(points, &cells, side);
-            for (value, received) in values.iter_mut().zip(received) {
-                value.shadow = std::array::from_fn(|c| share(received[c], c));
-            }
+        // A channel without light has no shadow and no bounce.
+        let share = |value: f32, c: usize, dark: f32| if open[c] > 0.0 { value / open[c] } else { dark };
+        let mut points = vec![GroundPoint::NONE; self.points.len()];
+        for (point, received) in points.iter_mut().zip(&self.received) {
+            point.shadow = std::array::from_fn(|c| share(received[c], c, 1.0));
         }
-        let with_bounce = outputs.contains(&Output::Bounce);
-        if with_bounce || outputs.contains(&Output::Contact) {
-            let light = with_bounce.then(|| self.renderer.light_on_host(self.light));
-            let views = ground.views(points, &cosine_directions(DIRECTIONS), light, SEEN_SIDE);
-            for (value, GroundView { open: contact, radiance }) in values.iter_mut().zip(views) {
-                value.contact = contact;
-                let irradiance = radiance.map(|v| v * std::f32::consts::PI);
-                value.bounce =
-                    std::array::from_fn(|c| if open[c] > 0.0 { irradiance[c] / open[c] } else { 0.0 });
-            }
+        for (point, view) in points.iter_mut().zip(&self.views) {
+            let GroundView { open: contact, radiance } = view.mean(self.directions.len());
+            point.contact = contact;
+            point.bounce = std::array::from_fn(|c| share(std::f32::consts::PI * radiance[c], c, 0.0));
         }
-        values
+        points
     }
+}
+
+/// Columns and rows of the places: all pixels, or the nodes of a grid that covers the centres of all pixels.
+fn nodes((width, height): (usize, usize), step: usize) -> (usize, usize) {
+    match step {
+        1 => (width, height),
+        _ => ((width - 1) / step + 2, (height - 1) / step + 2),
+    }
+}
+
+/// The point of the ground at a place of the image; `None` above the horizon, and where the camera is below the ground.
+fn hit(view: &RasterCamera, height: f32, place: [f32; 2]) -> Option<[f32; 3]> {
+    let (centre, ray) = (view.centre, view.ray_through(place));
+    let along = (height - centre[2]) / ray[2];
+    let is_hit = centre[2] > height && ray[2] < 0.0 && along.is_finite();
+    is_hit.then(|| [centre[0] + along * ray[0], centre[1] + along * ray[1], height])
 }
 
 /// `n` directions of the upper hemisphere with a density that is proportional to the cosine to +Z.
 fn cosine_directions(n: usize) -> Vec<[f32; 3]> {
-    let golden = std::f64::consts::PI * (3.0 - 5.0f64.sqrt());
-    let direction = |i: usize| {
-        let square = (i as f64 + 0.5) / n as f64;
-        let (sin, cos) = (golden * i as f64).sin_cos();
-        [square.sqrt() * cos, square.sqrt() * sin, (1.0 - square).sqrt()].map(|v| v as f32)
-    };
-    (0..n).map(direction).collect()
+    let direction = |[x, y]: [f64; 2]| [x, y, (1.0 - x * x - y * y).max(0.0).sqrt()].map(|v| v as f32);
+    disc_points(n).map(direction).collect()
 }
 
 /// The points of the surface, capture units, row-major, from the depths of a frame.

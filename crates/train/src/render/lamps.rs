@@ -5,36 +5,43 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use crate::render::{Frame, Renderer};
-use relume_engine::{Lamp as EngineLamp, LampCone, LampShadows, RasterCamera};
+use relume_engine::{Lamp as EngineLamp, LampCone, LampFrame, LampShadows, RasterCamera};
+use relume_scene::light::{disc_points, fibonacci_directions};
 use relume_scene::{Model, Output};
 use relume_spec::rendering::{Lamp, LampShape, Tier};
 
 /// Points of the surface of a lamp that is no point.
 const POINTS: usize = 24;
+/// Greatest intensity, with which the radiance of surfaces at any distance is finite.
+const MAX_INTENSITY: f64 = 1e20;
 /// Share of the half angle of a cone up to which the light is full.
 const FULL_SHARE: f64 = 0.8;
 
 impl Renderer {
-    /// Adds the light of `lamps` to the colours under the environment in `frame`. The tiers with rays trace its shadows in each pixel.
-    pub(super) fn add_lamps(&self, frame: &mut Frame, view: RasterCamera, lamps: &[Lamp], tier: Tier) {
+    /// The frame of `view` under `lamps` alone. The tiers with rays trace its shadows in each pixel.
+    pub(super) fn lamp_frame(&self, view: RasterCamera, lamps: &[Lamp], tier: Tier) -> LampFrame<'_> {
         let shadows = match tier {
             Tier::Preview | Tier::Standard => LampShadows::AtGaussians,
             Tier::High | Tier::MonteCarlo => LampShadows::InPixels,
         };
-        let lamps: Vec<EngineLamp> = lamps.iter().map(|lamp| normalised(lamp, self.model())).collect();
-        let [diffuse, specular] = self.host().lamp_light(view, &lamps, shadows);
-        for (output, parts) in [
-            (Output::Rgb, &[&diffuse, &specular][..]),
-            (Output::Diffuse, &[&diffuse]),
-            (Output::Specular, &[&specular]),
-        ] {
-            let Some(plane) = frame.planes.get_mut(&output) else { continue };
-            for part in parts {
-                plane
-                    .iter_mut()
-                    .zip(*part)
-                    .for_each(|(value, added)| *value = (*value + added).min(f32::MAX));
-            }
+        let lamps = lamps.iter().map(|lamp| normalised(lamp, self.model())).collect();
+        self.host().lamp_frame(view, lamps, shadows)
+    }
+}
+
+/// Adds the light of lamps to the colours under the environment in `frame`, from row-major pixel `first` on.
+pub(super) fn add_lamps(frame: &mut Frame, first: usize, [diffuse, specular]: &[Vec<f32>; 2]) {
+    for (output, parts) in [
+        (Output::Rgb, &[diffuse, specular][..]),
+        (Output::Diffuse, &[diffuse]),
+        (Output::Specular, &[specular]),
+    ] {
+        let Some(plane) = frame.planes.get_mut(&output) else { continue };
+        for part in parts {
+            plane[3 * first..]
+                .iter_mut()
+                .zip(*part)
+                .for_each(|(value, added)| *value = (*value + added).min(f32::MAX));
         }
     }
 }
@@ -61,33 +68,30 @@ fn normalised(lamp: &Lamp, model: &Model) -> EngineLamp {
         outer: half.cos() as f32,
         inner: (FULL_SHARE * half).cos() as f32,
     };
+    let points: Vec<_> = offsets.into_iter().map(|offset| vector(centre + offset)).collect();
+    // Radius of a disc of the area of the lamp.
+    let of_area = match lamp.shape {
+        LampShape::Rectangle => (size[0] * size[1] / PI).sqrt(),
+        _ => radius,
+    };
     EngineLamp {
-        points: offsets.into_iter().map(|offset| vector(centre + offset)).collect(),
         normal: axis.filter(|_| is_flat).map(vector),
         cone: axis.filter(|_| lamp.shape == LampShape::Spot).map(cone),
-        intensity: lamp.radiant_intensity().map(|v| (v * scale * scale).min(f64::from(f32::MAX)) as f32),
-        radius: match lamp.shape {
-            LampShape::Rectangle => (size[0] * size[1] / PI).sqrt() as f32,
-            _ => radius as f32,
-        },
+        intensity: lamp.radiant_intensity().map(|v| (v * scale * scale).min(MAX_INTENSITY) as f32),
+        radius: (of_area / (points.len() as f64).sqrt()) as f32,
+        points,
     }
 }
 
 /// Points spread evenly over a sphere.
 fn sphere(radius: f64) -> Vec<DVec3> {
-    relume_scene::light::fibonacci_directions(POINTS).into_iter().map(|d| radius * d).collect()
+    fibonacci_directions(POINTS).into_iter().map(|d| radius * d).collect()
 }
 
 /// Points spread evenly over a disc that is perpendicular to `axis`.
 fn disc(axis: DVec3, radius: f64) -> Vec<DVec3> {
     let (u, v) = axis.any_orthonormal_pair();
-    let golden = PI * (3.0 - 5.0f64.sqrt());
-    let point = |i: usize| {
-        let r = radius * ((i as f64 + 0.5) / POINTS as f64).sqrt();
-        let (sin, cos) = (golden * i as f64).sin_cos();
-        r * (cos * u + sin * v)
-    };
-    (0..POINTS).map(point).collect()
+    disc_points(POINTS).map(|[x, y]| radius * (x * u + y * v)).collect()
 }
 
 /// Points on a grid over a rectangle that is perpendicular to `axis`, whose width is horizontal.
@@ -95,7 +99,7 @@ fn rectangle(axis: DVec3, [width, height]: [f64; 2]) -> Vec<DVec3> {
     let across = axis.cross(DVec3::Z).try_normalize().unwrap_or(DVec3::X);
     let up = across.cross(axis);
     let columns = ((POINTS as f64 * width / height).sqrt().round() as usize).clamp(1, POINTS);
-    let rows = (POINTS / columns).max(1);
+    let rows = ((POINTS as f64 / columns as f64).round() as usize).max(1);
     let at = |k: usize, count: usize| (k as f64 + 0.5) / count as f64 - 0.5;
     let point =
         |i: usize| across * (width * at(i % columns, columns)) + up * (height * at(i / columns, rows));
