@@ -66,7 +66,7 @@ impl DeviceHandle {
     /// # Errors
     /// As [`Self::render`].
     pub async fn light(&self, task: LightTask) -> Result<TimedAnswer<Vec<u8>>, RenderFailure> {
-        self.ask(task, RenderPriority::Interactive, Request::Light).await
+        self.ask(task, RenderPriority::Interactive, Request::light).await
     }
 
     async fn ask<Task, Answer>(

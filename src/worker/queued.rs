@@ -68,13 +68,18 @@ pub(super) enum Request {
     /// A frame.
     Frame(Box<Queued<RenderTask, Frame>>),
     /// The stream of a light.
-    Light(Queued<LightTask, Vec<u8>>),
+    Light(Box<Queued<LightTask, Vec<u8>>>),
 }
 
 impl Request {
     /// A request for a frame.
     pub(super) fn frame(queued: Queued<RenderTask, Frame>) -> Self {
         Self::Frame(Box::new(queued))
+    }
+
+    /// A request for the stream of a light.
+    pub(super) fn light(queued: Queued<LightTask, Vec<u8>>) -> Self {
+        Self::Light(Box::new(queued))
     }
 
     /// The relative cost on the device, as [`RenderTask::cost`]. The preparation of a light cannot be interrupted, so a light is

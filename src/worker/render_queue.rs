@@ -216,7 +216,7 @@ mod tests {
         let (queue, mut waiting) = render_queue(9);
         let _places = [2048, 128, 64].map(|size| push(&queue, size).unwrap());
         let (light, _answer) = Queued::new(light(), 0);
-        let _light = queue.push(Request::Light(light), RenderPriority::Interactive).unwrap();
+        let _light = queue.push(Request::light(light), RenderPriority::Interactive).unwrap();
         let mut next = || waiting.try_recv_cheap().as_ref().map(size_of);
         assert_eq!([(); 3].map(|()| next()), [Some(Some(64)), Some(Some(128)), None]);
         assert_eq!(size_of(&waiting.try_recv().unwrap()), None, "a light is not served between bands");

@@ -38,7 +38,7 @@ pub fn opaque_radius(g: &Gaussians, centre: DVec3, radius: f64) -> Option<f64> {
     (reach > 0.0).then_some(reach)
 }
 
-/// The height (z) above which nearly all opaque Gaussians in a ball lie, with [`EDGE`] of their standard deviations. They count as in
+/// The height (z) above which nearly all opaque Gaussians in a ball lie to 1.5 of their standard deviations. They count as in
 /// [`opaque_centre`]; those that no photograph shows (a negative sampling rate) do not count. `None` if there are too few.
 pub fn opaque_bottom(g: &Gaussians, centre: DVec3, radius: f64) -> Option<f64> {
     let seen = counting(g, centre, radius).filter(|(i, ..)| g.row(Field::SamplingRate, *i)[0] >= 0.0);
