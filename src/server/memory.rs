@@ -114,6 +114,8 @@ pub(super) fn default_budget() -> u64 {
 const LAMP_PIXEL: u64 = 80;
 /// Bytes per point of the ground.
 const GROUND_POINT: u64 = 128;
+/// Bytes of the pictures of a model from which the ground is computed together.
+const GROUND_PICTURES: u64 = 32 << 20;
 
 /// Bytes of a frame from its G-buffer to its file, with lamps or the ground if they are requested.
 pub(super) fn frame_bytes(pixels: u64, outputs: &[Output], has_lamps: bool) -> u64 {
@@ -129,7 +131,7 @@ pub(super) fn frame_bytes(pixels: u64, outputs: &[Output], has_lamps: bool) -> u
 
 /// Bytes for the ground of a frame: its points, and a group of pictures of the model.
 fn ground_bytes(pixels: u64) -> u64 {
-    pixels.min(1 << 19) * GROUND_POINT + (32 * pixels).min(32 << 20)
+    pixels.min(1 << 19) * GROUND_POINT + GROUND_PICTURES
 }
 
 /// Bytes for the stream of a model with a file of `size` bytes: the file, the model, its columns, the stream.

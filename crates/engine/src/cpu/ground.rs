@@ -19,6 +19,8 @@ use relume_scene::{Field, opaque_centre, opaque_radius};
 const GROUP: usize = 32;
 /// Gaussians of a group of pictures together.
 const GROUP_GAUSSIANS: usize = 640_000;
+/// Texels of a group of pictures together.
+const GROUP_TEXELS: usize = 8 << 20;
 /// Radius of the ball in which the model is searched, normalised world.
 const REACH: f64 = 4.0;
 /// Radius of a model with too few opaque Gaussians, normalised world.
@@ -101,8 +103,8 @@ impl<'a> GroundRadiance<'a> {
         Self { light, outward: outward_normals(&light.source()) }
     }
 
-    /// Radiance of Gaussian `i` that a point in direction `-d` sees. What no photograph shows is dark: the inner side of a surface, and
-    /// Gaussians with a negative sampling rate.
+    /// Radiance that Gaussian `i` sends in direction `-d`, towards the plane. It is 0 for surfaces that no photograph shows: Gaussians with a
+    /// negative sampling rate, and the inner sides of surfaces.
     fn sent(&self, i: usize, d: Vec3) -> [f32; 3] {
         let is_hidden = self.light.source().gaussians.row(Field::SamplingRate, i)[0] < 0.0;
         if is_hidden || dot(self.outward[i], d) >= 0.0 { [0.0; 3] } else { self.light.outgoing(i, d).total() }
@@ -110,9 +112,11 @@ impl<'a> GroundRadiance<'a> {
 }
 
 impl Ground {
-    /// Number of directions to compute together, so that a call takes a fraction of a second.
-    pub fn group(&self) -> usize {
-        (GROUP_GAUSSIANS / self.occluders.len().max(1)).clamp(2, GROUP)
+    /// Number of directions to compute together, whose pictures have `side` texels along a side: a call takes a fraction of a second, and its
+    /// pictures at most 32 MiB.
+    pub fn group(&self, side: usize) -> usize {
+        let by_time = GROUP_GAUSSIANS / self.occluders.len().max(1);
+        by_time.min(GROUP_TEXELS / (side * side).max(1)).clamp(2, GROUP)
     }
 
     /// Adds to `sums`, for each of `points` of the plane, the irradiance of `cells` that passes the model. The pictures of the model have at

@@ -26,7 +26,7 @@ pub struct Bands<'a> {
     /// Height of the ground, capture units; `None`: [`Renderer::ground_height`].
     ground: Option<f64>,
     lamps: Vec<Lamp>,
-    /// What is computed after the bands.
+    /// The work that remains after the bands.
     rest: Rest<'a>,
     /// Rows of a band: whole tiles where the device allows, so that no tile is blended twice.
     rows: usize,
@@ -35,7 +35,7 @@ pub struct Bands<'a> {
     frame: Frame,
 }
 
-/// What is computed after the bands, in steps.
+/// The work that remains after the bands: lamps, then the ground. [`Bands::render_next`] does one step of it.
 enum Rest<'a> {
     /// The bands are not complete.
     Unknown,

@@ -128,7 +128,7 @@ impl<'a> GroundPlanes<'a> {
 
     /// Computes a group of directions. Returns false when all are done.
     pub(super) fn step(&mut self) -> bool {
-        let next = |done: usize, count: usize| done..(done + self.ground.group()).min(count);
+        let next = |done: usize, count: usize| done..(done + self.ground.group(self.side)).min(count);
         let cells = if self.received.is_empty() { 0 } else { self.cells.len() };
         let directions = if self.views.is_empty() { 0 } else { self.directions.len() };
         if self.done[0] < cells {
