@@ -93,10 +93,14 @@ export function requestOf(look: Look, view: View, builtin: string[], [width, hei
   return { camera, environment: environment(look, builtin), width, height, outputs: [API_OUTPUTS[look.output] ?? look.output], background: backgroundOf(look) }
 }
 
+/** The outputs of an export for a compositor: the picture and the factors of the ground. */
+const LAYER_OUTPUTS = ['rgb', 'depth', 'shadow', 'bounce', 'contact']
+
 /** The labels of the exports. */
 export const TAKEN = {
   video: 'Turntable, video (mp4)',
   frames: 'Turntable, pictures (zip of png)',
+  layers: 'Turntable, layers with the shadow (zip of exr)',
   gltf: 'glTF with Gaussians (.glb)',
   usdz: 'OpenUSD with Gaussians (.usdz)',
   ply: 'PLY, relightable',
@@ -107,12 +111,13 @@ export const TAKEN = {
 /** What an export shows, for the list of exports. `lightName` names the light of its request. */
 export function exportName(of: Export, lightName: (light: EnvironmentSpec | null | undefined) => string): string {
   const isChanged = Boolean(of.request?.materials?.length)
-  return `${contentOf(of, lightName)}${isChanged ? ', materials changed' : ''}`
+  const hasLamps = of.request?.kind === 'frames' && Boolean(of.request.lamps?.length)
+  return `${contentOf(of, lightName)}${hasLamps ? ', with lamps' : ''}${isChanged ? ', materials changed' : ''}`
 }
 
 function contentOf({ kind, request, progress }: Export, lightName: (light: EnvironmentSpec | null | undefined) => string): string {
   if (request?.kind === 'frames') {
-    const what = `${request.turntable ? 'Turntable' : 'Camera path'}, ${request.package === 'mp4' ? 'video' : 'pictures'}`
+    const what = `${request.turntable ? 'Turntable' : 'Camera path'}, ${request.package === 'mp4' ? 'video' : request.format === 'exr' ? 'layers' : 'pictures'}`
     const size = request.width && request.height ? `, ${request.width} × ${request.height} px` : ''
     return `${what}, ${progress.total} frames${size}, ${lightName(request.environment)}`
   }
@@ -128,18 +133,12 @@ function contentOf({ kind, request, progress }: Export, lightName: (light: Envir
 export function exportOf(what: keyof typeof TAKEN, look: Look, view: View | undefined, builtin: string[], frames: number, side: number): NewExport {
   switch (what) {
     case 'video':
-    case 'frames': {
+    case 'frames':
+    case 'layers': {
       const from = view ? { azimuth_deg: view.azimuth, elevation_deg: view.elevation } : {}
-      return {
-        kind: 'frames',
-        turntable: { frames, ...from },
-        environment: environment(look, builtin),
-        width: side,
-        height: side,
-        outputs: [API_OUTPUTS[look.output] ?? look.output],
-        background: backgroundOf(look),
-        package: what === 'video' ? 'mp4' : 'zip',
-      }
+      const turntable = { kind: 'frames', turntable: { frames, ...from }, environment: environment(look, builtin), width: side, height: side } as const
+      if (what === 'layers') return { ...turntable, outputs: LAYER_OUTPUTS, format: 'exr', background: 'transparent', package: 'zip' }
+      return { ...turntable, outputs: [API_OUTPUTS[look.output] ?? look.output], background: backgroundOf(look), package: what === 'video' ? 'mp4' : 'zip' }
     }
     case 'relit':
       return { kind: 'ply', layer: 'relit', environment: environment(look, builtin) }

@@ -1,15 +1,6 @@
 // node test/material-edits.mjs: checks the list of changes of materials, the requests with them, and the choice of a material at a pixel.
 import assert from 'node:assert/strict'
-import { readFileSync } from 'node:fs'
-import ts from 'typescript'
-
-/** A module of src/ without imports at run time. */
-async function source(name) {
-  const { outputText } = ts.transpileModule(readFileSync(new URL(`../src/${name}.ts`, import.meta.url), 'utf8'), {
-    compilerOptions: { module: ts.ModuleKind.ESNext, target: ts.ScriptTarget.ES2022 },
-  })
-  return import(`data:text/javascript,${encodeURIComponent(outputText)}`)
-}
+import { source } from './source.mjs'
 
 const { brightest, changed, editsFile, exportWith, hasMaterials, maskRequest, undone, valuesOf } = await source('materials')
 const { SerialQueue } = await source('serial-queue')

@@ -8,6 +8,7 @@ import { createRequire } from 'node:module'
 import { chromium } from 'playwright-core'
 import { documentedApi } from './documentation.mjs'
 import { keyIsNotPolled, lostServer, refusedTraining, unknownPaths, wrongFiles } from './failures.mjs'
+import { stagedModel } from './lamps.mjs'
 import { changedMaterials } from './materials.mjs'
 import { sharedModel, sharedWithoutWebGpu } from './sharing.mjs'
 import { calibratedModel, dimmedLight, movedCamera, openedModel, takenAway, turnedLight } from './viewing.mjs'
@@ -254,6 +255,7 @@ await page.getByRole('button', { name: 'Copy the command' }).click()
 assert.match(await page.evaluate(() => navigator.clipboard.readText()), /curl .*\/v1\/models\//s)
 await audit(page, 'model')
 await changedMaterials(page, audit)
+await stagedModel(page, audit)
 
 // Downloads: the frame that is seen, and the model itself.
 for (const [button, name, least] of [['Save the picture', /\.png$/, 500], ['↓ model.safetensors', /^model\.safetensors$/, 10_000]]) {

@@ -4,8 +4,9 @@ import type { Environments, Listed, Material, MaterialEdit, Model } from '../api
 import { called } from '../format'
 import { useLoaded } from '../hooks'
 import { requestOf, type Look, type View } from '../look'
-import { useMask, useMasks, useServed } from '../material-pictures'
+import { useMask, useMasks } from '../material-pictures'
 import { brightest, changed, editsFile, hasMaterials, undone, valuesOf, type MaterialValues } from '../materials'
+import { useServed } from '../rendered'
 import { SerialQueue } from '../serial-queue'
 import { Failure, save, Slider } from './common'
 
@@ -59,7 +60,7 @@ function Editor({ model, look, view, lights, edits, onChange, materials }: Mater
   const [error, setError] = useState<PageError>()
   const queue = useMemo(() => new SerialQueue(), [])
   const request = view && lights ? { ...requestOf(look, view, lights.builtin, SIZE), ...(edits.length > 0 ? { materials: edits } : {}) } : undefined
-  const served = useServed(model.id, request, queue)
+  const served = useServed(model.id, request, queue, true)
   const masks = useMasks(model.id, materials, served.request, queue)
   const failed = useCallback((failure: unknown) => setError(explain(failure)), [])
   const mask = useMask(masks, hovered ?? focused, failed)

@@ -4,6 +4,7 @@ import { explain, type PageError } from '../api/page-error'
 import type { Environments, EnvironmentSpec, Export, Listed, MaterialEdit, SignedUrl } from '../api/types'
 import { bytes, called, spoken } from '../format'
 import { useLoaded } from '../hooks'
+import { exportStaged, shining, type Staging } from '../lamps'
 import { environment, exportName, exportOf, TAKEN, type Look, type View } from '../look'
 import { exportWith, isLitByChanges } from '../materials'
 import { Badge, Failure } from './common'
@@ -13,8 +14,17 @@ type Taken = keyof typeof TAKEN
 /** Interval between two requests for an unfinished export, milliseconds. */
 const EVERY = 1500
 
+interface TakeAlongProps {
+  model: string
+  look: Look
+  view: View | undefined
+  lights: Environments | undefined
+  edits: MaterialEdit[]
+  staging: Staging
+}
+
 /** Requests exports of a model and lists the existing ones. */
-export function TakeAlong({ model, look, view, lights, edits }: { model: string; look: Look; view: View | undefined; lights: Environments | undefined; edits: MaterialEdit[] }) {
+export function TakeAlong({ model, look, view, lights, edits, staging }: TakeAlongProps) {
   const [what, setWhat] = useState<Taken>('frames')
   const [frames, setFrames] = useState(60)
   const [side, setSide] = useState(512)
@@ -31,10 +41,11 @@ export function TakeAlong({ model, look, view, lights, edits }: { model: string;
   const start = (event: Event) => {
     event.preventDefault()
     const builtin = lights?.builtin ?? []
-    const request = exportWith(exportOf(what, look, view, builtin, frames, side), edits, environment(look, builtin))
+    const request = exportStaged(exportWith(exportOf(what, look, view, builtin, frames, side), edits, environment(look, builtin)), staging)
     void act(post<Export>(`v1/models/${encodeURIComponent(model)}/exports`, request))
   }
-  const isTurntable = what === 'frames' || what === 'video'
+  const isTurntable = what === 'frames' || what === 'video' || what === 'layers'
+  const lamps = shining(staging).length
   return (
     <section class="card stack" aria-labelledby="take">
       <h2 id="take">Take it along</h2>
@@ -52,6 +63,8 @@ export function TakeAlong({ model, look, view, lights, edits }: { model: string;
           </div>
         ) : null}
         {edits.length > 0 ? <p class="small">The file has the changes of {edits.length === 1 ? '1 material' : `${edits.length} materials`}{isLitByChanges(what) ? ', under the chosen light' : ''}.</p> : null}
+        {lamps > 0 ? <p class="small">{isTurntable ? `The pictures have the light of ${lamps === 1 ? '1 lamp' : `${lamps} lamps`}.` : 'This file has no lamps; turntables have them.'}</p> : null}
+        {what === 'layers' ? <p class="small">Each EXR has the picture, its depth, and the <code>shadow</code>, <code>bounce</code> and <code>contact</code> of the ground{staging.height === undefined ? ' below the lowest point of the model' : ` at the height ${staging.height}`}, under the environment without lamps.</p> : null}
         <div class="row"><button type="submit">Make it</button></div>
       </form>
       <Failure error={error ?? made.error} />

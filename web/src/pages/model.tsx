@@ -5,6 +5,7 @@ import type { Environments, MaterialEdit, Model } from '../api/types'
 import { Calibration } from '../components/calibration'
 import { Choices, Facts, Failure, Head, Missing, save, Slider } from '../components/common'
 import { Lights } from '../components/lights'
+import { Lamps } from '../components/lamps'
 import { LightComparison } from '../components/light-comparison'
 import { Materials } from '../components/materials'
 import { TakeAlong } from '../components/take'
@@ -12,6 +13,7 @@ import { ViewerPanel } from '../components/viewer-panel'
 import { Wipe } from '../components/wipe'
 import { bytes, called, count, decibels, duration, quality, share } from '../format'
 import { useLoaded, useTitle } from '../hooks'
+import { readStaging, writtenStaging, type Staging } from '../lamps'
 import { OUTPUTS, readLook, written, type Look, type View } from '../look'
 import { describe, go, link } from '../router'
 
@@ -20,24 +22,31 @@ const LAYERS: Record<(typeof OUTPUTS)[number], string> = {
   rgb: 'picture', albedo: 'albedo (own colour)', normal: 'normals', roughness: 'roughness', metalness: 'metalness', ao: 'ambient occlusion', depth: 'depth',
 }
 
-export function ModelPage({ id, query }: { id: string; query: URLSearchParams }) {
-  const { data: model, error, reload } = useLoaded<Model>(`v1/models/${encodeURIComponent(id)}`)
-  const lights = useLoaded<Environments>('v1/environments?limit=100')
+/** The state of the page that its address contains: look, camera, lamps and ground. */
+function useAddress(id: string, query: URLSearchParams) {
   const [look, setLook] = useState<Look>(() => readLook(query))
   const [view, setView] = useState<View>()
   const [centre, setCentre] = useState<View['target']>()
-  const [edits, setEdits] = useState<MaterialEdit[]>([])
-  const [failed, setFailed] = useState<PageError>()
-  useTitle(model ? called(model, 'Model') : 'Model')
+  const [staging, setStaging] = useState<Staging>(() => readStaging(query))
   const change = (some: Partial<Look>) => setLook((before) => ({ ...before, ...some }))
   useEffect(() => {
-    const wait = setTimeout(() => describe(['models', id], written(look, view, centre)), 200)
+    const wait = setTimeout(() => describe(['models', id], { ...written(look, view, centre), ...writtenStaging(staging) }), 200)
     return () => clearTimeout(wait)
-  }, [id, look, view, centre])
+  }, [id, look, view, centre, staging])
   const seen = useCallback((view: View, isFirst: boolean) => {
     setView(view)
     if (isFirst) setCentre((before) => before ?? view.target)
   }, [])
+  return { look, view, centre, staging, change, setStaging, seen }
+}
+
+export function ModelPage({ id, query }: { id: string; query: URLSearchParams }) {
+  const { data: model, error, reload } = useLoaded<Model>(`v1/models/${encodeURIComponent(id)}`)
+  const lights = useLoaded<Environments>('v1/environments?limit=100')
+  const { look, view, centre, staging, change, setStaging, seen } = useAddress(id, query)
+  const [edits, setEdits] = useState<MaterialEdit[]>([])
+  const [failed, setFailed] = useState<PageError>()
+  useTitle(model ? called(model, 'Model') : 'Model')
   const discard = () => {
     if (!confirm('Delete this model and its files?')) return
     remove(`v1/models/${encodeURIComponent(id)}`).then(() => go(link(['models'])), (failure: unknown) => setFailed(explain(failure)))
@@ -58,6 +67,7 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
           <div class="stack">
             <ViewerPanel key={`viewer ${version}`} model={model} look={look} query={view ? new URLSearchParams(written(look, view, centre)) : query} lights={lights.data} onView={seen} view={view} onRotation={(rotation) => change({ rotation })} />
             <Materials key={`materials ${version}`} model={model} look={look} view={view} lights={lights.data} edits={edits} onChange={setEdits} />
+            <Lamps key={`lamps ${version}`} model={model} look={look} view={view} lights={lights.data} edits={edits} staging={staging} onChange={setStaging} />
             <LightComparison key={`lights ${version}`} model={id} view={view} lights={lights.data} onChange={(light) => change({ light })} />
             <section class="card stack" aria-labelledby="wipe">
               <h2 id="wipe">Against a photograph</h2>
@@ -77,7 +87,7 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
             </section>
             <Figures of={model} />
             <Calibration model={model} onDone={reload} />
-            <TakeAlong model={model.id} look={look} view={view} lights={lights.data} edits={edits} />
+            <TakeAlong model={model.id} look={look} view={view} lights={lights.data} edits={edits} staging={staging} />
             <Files of={model} onError={setFailed} />
           </div>
         </div>
