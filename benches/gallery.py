@@ -4,7 +4,7 @@ DATA has scenes/NAME with path-traced ground truth and envmaps/LIGHT.hdr. MODELS
 `relume train DATA/scenes/NAME --preset draft --resolution 200 --set max_gaussians=16000 --seed 0 --out MODELS/NAME.safetensors` writes it, and demo.safetensors, the model of `relume demo`.
 OUT receives, for each scene, NAME-turntable.webp (the camera turns), NAME-light.webp (the light turns) and NAME-truth.webp (path-traced and relit pictures of one
 test view under lights that the training did not see); materials.webp, the demonstration with changed materials; shadow-passes.webp and shadow.webp, the drape
-on a floor under a sun; and lamps.webp, models under lamps.
+on a floor under a sun; lamps.webp, models under lamps; and layers.webp, a photograph of the helmet without its light, and the confidence of the model.
 """
 
 import pathlib
@@ -123,6 +123,24 @@ def lamps(relume, models, file):
     sheet.save(file, quality=QUALITY + 6, method=6)
 
 
+def layers(relume, data, model, file):
+    """A photograph, its layers, and the confidence of the model from the same side."""
+    scene, view = data / "scenes" / "helmet", "test_000"
+    names = ["photograph", "albedo", "shading", "shadow", "specular", "confidence"]
+    head, font = 22, ImageFont.load_default(13)
+    sheet = Image.new("RGB", (VIEW_SIZE * len(names), head + VIEW_SIZE), PAPER)
+    draw = ImageDraw.Draw(sheet)
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([relume, "delight", scene, model, "--name", view, "--format", "png", "--out", folder], check=True, capture_output=True)
+        render(relume, model, f"{folder}/c%d.png", "--path", scene / "transforms_test.json", "--frames", 1, "--output", "confidence")
+        for column, name in enumerate(names):
+            path = {"photograph": scene / view / "rgba.png", "confidence": f"{folder}/c1.png"}.get(name)
+            picture = Image.open(path or next(pathlib.Path(folder, name).glob("*.png")))
+            sheet.paste(on_paper(picture), (column * VIEW_SIZE, head))
+            draw.text((column * VIEW_SIZE + 8, 4), name, INK, font)
+    sheet.save(file, quality=QUALITY + 6, method=6)
+
+
 def main():
     data, models, out, relume = (pathlib.Path(argument).resolve() for argument in sys.argv[1:5])
     out.mkdir(parents=True, exist_ok=True)
@@ -133,6 +151,7 @@ def main():
         truth(relume, data, scene, model, out / f"{scene}-truth.webp")
     materials(relume, models / "demo.safetensors", out / "materials.webp")
     lamps(relume, models, out / "lamps.webp")
+    layers(relume, data, models / "helmet.safetensors", out / "layers.webp")
     shadow_passes(relume, models / "drape.safetensors", data / "envmaps" / "noon.hdr", out)
     for path in sorted(out.glob("*.webp")):
         print(f"{path.name}: {path.stat().st_size // 1000} kB")

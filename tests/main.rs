@@ -11,6 +11,7 @@ mod calibrate;
 mod capture_check;
 mod closed_pipes;
 mod colour_chart;
+mod confidence;
 mod crash;
 mod deletion;
 mod doctor;

@@ -1,6 +1,5 @@
 //! `relume eval`: compares a model with the ground truth of a capture.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -8,14 +7,12 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 pub use crate::cli::args::QualityArgs;
 use crate::cli::error::CommandResult;
-use crate::cli::light::read_rotations;
 use crate::cli::sheet::{sheet_format, write_sheet};
-use crate::cli::{input, output};
-use relume_capture::{Capture, ColourMatrix, ImportLimits, ImportOptions, Up, import};
+use crate::cli::{input, model_capture, output};
+use relume_capture::ImportLimits;
 use relume_engine::{Device, DeviceChoice};
-use relume_spec::training::TurntableCapture;
 use relume_train::eval::{CaptureFacts, EvalOptions, Lpips, SheetRows, contact_sheet, evaluate};
-use relume_train::{colour_matrix_of_card, light_groups_of_card, turntable_of_card, up_of_card};
+use relume_train::{colour_matrix_of_card, up_of_card};
 
 /// Compare a model with the held-out views and the ground truth of a capture.
 #[derive(Debug, clap::Args)]
@@ -64,9 +61,9 @@ pub fn run(args: &EvalArgs) -> CommandResult {
     args.sheet.as_deref().map(sheet_format).transpose()?;
     let model = Arc::new(input::read_model(&args.model)?);
     let lpips = args.lpips.as_deref().map(Lpips::read).transpose()?;
-    let up = up_of_card(&model.card)?;
-    let (groups, colours) = (light_groups_of_card(&model.card), colour_matrix_of_card(&model.card)?);
-    let capture = load_capture(args, up, turntable_of_card(&model.card)?, &groups, colours)?;
+    let (up, colours) = (up_of_card(&model.card)?, colour_matrix_of_card(&model.card)?);
+    let capture =
+        model_capture::read(&args.capture, &model, args.resolution, args.light_rotations.as_deref())?;
 
     let bar = progress_bar();
     let progress = |done: usize, total: usize| {
@@ -102,27 +99,6 @@ pub fn run(args: &EvalArgs) -> CommandResult {
         write_sheet(path, &sheet)?;
     }
     Ok(())
-}
-
-/// The capture in the world and with the colours of the model.
-fn load_capture(
-    args: &EvalArgs,
-    up: Up,
-    turntable: TurntableCapture,
-    light_groups: &BTreeMap<String, String>,
-    colour_matrix: Option<ColourMatrix>,
-) -> CommandResult<Capture> {
-    let max_side = args.resolution;
-    let options = ImportOptions { max_side, up, turntable, colour_matrix, ..ImportOptions::default() };
-    let mut capture = import(&args.capture, &options)?;
-    if let Some(file) = &args.light_rotations {
-        capture.set_light_rotations(&read_rotations(file)?)?;
-    }
-    if let Err(error) = capture.set_light_groups(light_groups) {
-        eprintln!("warning: held-out photographs are compared under the first light: {error}");
-    }
-    capture.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
-    Ok(capture)
 }
 
 fn progress_bar() -> ProgressBar {

@@ -10,7 +10,9 @@ use crate::cli::render::{finite, up_to};
 use crate::cli::{input, output};
 use relume_scene::Model;
 use relume_spec::rendering::{ExportedColour, MAX_BAKED_DEGREE};
-use relume_train::render::{MeshOptions, SplatFile, encode_mesh_file, encode_splat_file, relit};
+use relume_train::render::{
+    MeshOptions, SplatBudget, SplatFile, encode_mesh_file, encode_splat_file_within, relit,
+};
 
 /// Options of `relume export`.
 #[derive(Debug, clap::Args)]
@@ -47,6 +49,13 @@ pub(super) struct ExportArgs {
     /// Rotate each Gaussian so that its shortest axis is its shading normal, for programs that use this axis as the normal.
     #[arg(long)]
     flatten: bool,
+    /// Write at most this number of Gaussians: those that contribute most to views around the model. Prints the difference from the whole
+    /// model.
+    #[arg(long, value_name = "N", conflicts_with = "mesh", value_parser = clap::value_parser!(u32).range(1..))]
+    max_splats: Option<u32>,
+    /// Write a file of at most this size, megabytes (1,000,000 bytes), with as many Gaussians as it allows.
+    #[arg(long, value_name = "MB", conflicts_with = "mesh", allow_negative_numbers = true, value_parser = positive)]
+    max_mb: Option<f64>,
     #[command(flatten)]
     materials: MaterialArgs,
 }
@@ -64,10 +73,18 @@ pub(super) fn run(args: &ExportArgs) -> CommandResult {
     if shown == ExportedColour::Relit {
         model = args.relit(model)?;
     }
-    let bytes = if args.mesh { args.encode_mesh(kind, model)? } else { args.encode(kind, shown, &model)? };
+    let bytes = if args.mesh { args.encode_mesh(kind, model)? } else { args.encode(kind, shown, model)? };
     output::write_named(&args.out, &bytes)?;
     eprintln!("wrote {}", args.out.display());
     Ok(())
+}
+
+/// Parses a number above 0.
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
+        _ => Err("must be a number above 0".to_owned()),
+    }
 }
 
 impl ExportArgs {
@@ -97,9 +114,21 @@ impl ExportArgs {
         Ok(encode_mesh_file(model, self.mesh_cells as usize, &|| true)?)
     }
 
-    fn encode(&self, kind: SplatFile, shown: ExportedColour, model: &Model) -> CommandResult<Vec<u8>> {
-        let is_stated = self.layer.is_some() || self.env.is_some();
-        Ok(encode_splat_file(model, kind, is_stated.then_some(shown), self.flatten)?)
+    fn encode(&self, kind: SplatFile, shown: ExportedColour, model: Model) -> CommandResult<Vec<u8>> {
+        if kind == SplatFile::Hdr && (self.max_splats.is_some() || self.max_mb.is_some()) {
+            return Err("--max-splats, --max-mb: a .hdr has no Gaussians".into());
+        }
+        let shown = (self.layer.is_some() || self.env.is_some()).then_some(shown);
+        let bytes = self.max_mb.map(|megabytes| (megabytes * 1e6) as u64);
+        let budget = SplatBudget { splats: self.max_splats, bytes };
+        let file = encode_splat_file_within(model, kind, shown, self.flatten, budget, &|| true)?;
+        if let Some((number, psnr_db)) = file.pruned {
+            let all = file.all;
+            eprintln!(
+                "kept {number} of {all} Gaussians; the colours differ from the whole model by {psnr_db:.1} dB PSNR"
+            );
+        }
+        Ok(file.bytes)
     }
 }
 
@@ -131,6 +160,8 @@ mod tests {
             exposure: 0.0,
             relit_degree: 3,
             flatten: false,
+            max_splats: None,
+            max_mb: None,
             materials: MaterialArgs::default(),
         }
     }

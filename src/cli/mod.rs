@@ -9,6 +9,7 @@ mod capture;
 mod checkpoint;
 mod closed_pipe;
 mod database;
+mod delight;
 pub mod demo;
 mod doctor;
 mod error;
@@ -24,6 +25,7 @@ mod light;
 mod logs;
 mod material_args;
 mod materials;
+mod model_capture;
 mod output;
 mod progress;
 mod render;
@@ -91,6 +93,8 @@ enum Command {
     Explain(explain::ExplainArgs),
     /// List the materials of a model, write their masks, and try changes of them.
     Materials(materials::MaterialsArgs),
+    /// Separate the photographs of a capture into albedo, shading, shadow and specular reflection.
+    Delight(delight::DelightArgs),
     /// Convert a model into another format.
     Export(export::ExportArgs),
     /// Convert a file of Gaussians (PLY, SPZ or .splat) into a model file.
@@ -144,6 +148,7 @@ fn run(command: Command) -> ExitCode {
         Command::Bench(args) => bench::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::Materials(args) => materials::run(&args),
+        Command::Delight(args) => delight::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Doctor(args) => doctor::run(&args),

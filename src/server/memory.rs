@@ -147,6 +147,12 @@ pub(super) fn export_bytes(size: u64, cells: usize) -> u64 {
     5 * size + mesh
 }
 
+/// Bytes for an export with a limit of a model with a file of `size` bytes: as [`export_bytes`], two models with fewer Gaussians, and the splats of the views in
+/// which they are compared.
+pub(super) fn limited_export_bytes(size: u64) -> u64 {
+    export_bytes(size, 0) + 4 * size + (64 << 20)
+}
+
 /// Bytes for a light matrix of `lobes` with images of at most `width` pixels, of a model with a file of `size` bytes: the model and what its surfaces
 /// hide from each other, the tables of the lobes, a group of lobes at the Gaussians, and a strip of the images for each thread.
 pub(super) fn light_matrix_bytes(size: u64, lobes: u32, width: u32) -> u64 {

@@ -16,7 +16,7 @@ export interface Staging {
   isSharp: boolean
   /** Colour of the ground, `#rrggbb`. Undefined: there is no ground. */
   floor: string | undefined
-  /** Height of the ground, capture units. Undefined: the lowest point of the model. */
+  /** Height of the ground, capture units. Undefined: the lowest visible point of the model. */
   height: number | undefined
 }
 

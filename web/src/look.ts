@@ -112,7 +112,8 @@ export const TAKEN = {
 export function exportName(of: Export, lightName: (light: EnvironmentSpec | null | undefined) => string): string {
   const isChanged = Boolean(of.request?.materials?.length)
   const hasLamps = of.request?.kind === 'frames' && Boolean(of.request.lamps?.length)
-  return `${contentOf(of, lightName)}${hasLamps ? ', with lamps' : ''}${isChanged ? ', materials changed' : ''}`
+  const most = of.request && 'max_splats' in of.request ? of.request.max_splats : undefined
+  return `${contentOf(of, lightName)}${most ? `, at most ${most} Gaussians` : ''}${hasLamps ? ', with lamps' : ''}${isChanged ? ', materials changed' : ''}`
 }
 
 function contentOf({ kind, request, progress }: Export, lightName: (light: EnvironmentSpec | null | undefined) => string): string {
@@ -147,6 +148,17 @@ export function exportOf(what: keyof typeof TAKEN, look: Look, view: View | unde
     default:
       return { kind: what }
   }
+}
+
+/** Whether an export has the Gaussians of the model, of which it can leave out some. */
+export function hasGaussians(what: keyof typeof TAKEN): boolean {
+  return what === 'gltf' || what === 'usdz' || what === 'ply' || what === 'relit'
+}
+
+/** An export of Gaussians with at most `most` of them. Undefined: all. Other exports stay as they are. */
+export function exportWithin(request: NewExport, most: number | undefined): NewExport {
+  if (most === undefined || request.kind === 'frames' || request.kind === 'mesh' || request.kind === 'light_matrix') return request
+  return { ...request, max_splats: most }
 }
 
 /** The render request for the camera of a photograph. */

@@ -1,7 +1,8 @@
 import { useEffect, useRef, useState } from 'preact/hooks'
-import { ask } from './api/client'
+import { ask, Refused } from './api/client'
 import { explain, type PageError } from './api/page-error'
 import type { RenderRequest } from './api/types'
+import type { Pixels } from './ground'
 import { release } from './object-url'
 import type { SerialQueue } from './serial-queue'
 
@@ -13,7 +14,7 @@ interface Served {
   request?: RenderRequest
   blob?: Blob
   url?: string
-  failed?: { body: string; error: PageError }
+  failed?: { body: string; error: PageError; refused: Refused | undefined }
 }
 
 /** The answer to a render request: a PNG. */
@@ -32,6 +33,20 @@ export async function pixelsOf(blob: Blob): Promise<ImageData> {
   picture.close()
   return context.getImageData(0, 0, width, height)
 }
+
+/** A picture of pixels: a PNG. */
+export async function encoded({ width, height, data }: Pixels): Promise<Blob> {
+  const canvas = new OffscreenCanvas(width, height)
+  const context = canvas.getContext('2d')
+  if (!context) throw new Error('This browser cannot make a picture.')
+  const pixels = context.createImageData(width, height)
+  pixels.data.set(data)
+  context.putImageData(pixels, 0, 0)
+  return canvas.convertToBlob({ type: 'image/png' })
+}
+
+/** The camera and the size of a request, as text. */
+export const cameraOf = (request: RenderRequest | undefined) => request && JSON.stringify([request.camera, request.width, request.height])
 
 /** The picture of a request. The previous picture stays until the new one has arrived. In `queue` an urgent one comes before others. */
 export function useServed(model: string, request: RenderRequest | undefined, queue: SerialQueue, isUrgent: boolean) {
@@ -52,7 +67,7 @@ export function useServed(model: string, request: RenderRequest | undefined, que
         const blob = await (await rendered(model, request)).blob()
         if (!isGone.current) setShown({ request, blob, url: URL.createObjectURL(blob) })
       } catch (error) {
-        setShown((before) => ({ ...before, failed: { body, error: explain(error) } }))
+        setShown((before) => ({ ...before, failed: { body, error: explain(error), refused: error instanceof Refused ? error : undefined } }))
       }
     }
     const wait = setTimeout(() => void queue.add(show, isUrgent), SETTLE)
@@ -65,10 +80,10 @@ export function useServed(model: string, request: RenderRequest | undefined, que
     release(shown.url)
   }, [shown.url])
   const isOld = body !== undefined && body !== JSON.stringify(shown.request)
-  const error = isOld && shown.failed?.body === body ? shown.failed.error : undefined
+  const failed = isOld && shown.failed?.body === body ? shown.failed : undefined
   const retry = () => {
     setShown(({ failed: _, ...before }) => before)
     setRound((n) => n + 1)
   }
-  return { request: shown.request, blob: shown.blob, url: shown.url, isOld, error, retry }
+  return { request: shown.request, blob: shown.blob, url: shown.url, isOld, error: failed?.error, refused: failed?.refused, retry }
 }

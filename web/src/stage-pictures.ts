@@ -1,11 +1,11 @@
 import { useEffect, useMemo, useState } from 'preact/hooks'
 import { explain, type PageError } from './api/page-error'
 import type { RenderRequest } from './api/types'
-import { groundRequest, onGround, type GroundOutput, type Pixels } from './ground'
+import { groundRequest, onGround, type GroundOutput } from './ground'
 import { staged, type Staging } from './lamps'
 import { release } from './object-url'
 import type { Depths } from './projection'
-import { pixelsOf, rendered, useServed } from './rendered'
+import { cameraOf, encoded, pixelsOf, rendered, useServed } from './rendered'
 import type { SerialQueue } from './serial-queue'
 
 /** Share of the sides of a picture that the depths for a click have. */
@@ -29,18 +29,6 @@ interface Made {
   request: RenderRequest
   /** The pictures that it shows, and the colour of the ground. */
   of: unknown[]
-}
-
-const cameraOf = (request: RenderRequest | undefined) => request && JSON.stringify([request.camera, request.width, request.height])
-
-async function encoded({ width, height, data }: Pixels): Promise<Blob> {
-  const canvas = new OffscreenCanvas(width, height)
-  const context = canvas.getContext('2d')
-  if (!context) throw new Error('This browser cannot make a picture.')
-  const pixels = context.createImageData(width, height)
-  pixels.data.set(data)
-  context.putImageData(pixels, 0, 0)
-  return canvas.convertToBlob({ type: 'image/png' })
 }
 
 /** The picture of a request with lamps, over a ground if there is one. */

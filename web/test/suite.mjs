@@ -6,6 +6,7 @@ import { readdirSync, readFileSync, statSync } from 'node:fs'
 import { createServer } from 'node:http'
 import { createRequire } from 'node:module'
 import { chromium } from 'playwright-core'
+import { confidentModel, smallerExport } from './confidence.mjs'
 import { documentedApi } from './documentation.mjs'
 import { keyIsNotPolled, lostServer, refusedTraining, unknownPaths, wrongFiles } from './failures.mjs'
 import { stagedModel } from './lamps.mjs'
@@ -256,6 +257,7 @@ assert.match(await page.evaluate(() => navigator.clipboard.readText()), /curl .*
 await audit(page, 'model')
 await changedMaterials(page, audit)
 await stagedModel(page, audit)
+await confidentModel(page, audit)
 
 // Downloads: the frame that is seen, and the model itself.
 for (const [button, name, least] of [['Save the picture', /\.png$/, 500], ['↓ model.safetensors', /^model\.safetensors$/, 10_000]]) {
@@ -280,6 +282,7 @@ await page.getByRole('button', { name: '↓ PLY, relightable' }).waitFor()
 await audit(page, 'model-exports')
 await page.getByRole('button', { name: 'Delete PLY, relightable' }).click()
 await page.getByRole('button', { name: '↓ PLY, relightable' }).waitFor({ state: 'detached' })
+await smallerExport(page)
 
 // For people without a key.
 await sharedModel(page, open, audit)

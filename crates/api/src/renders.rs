@@ -46,13 +46,13 @@ pub struct RenderRequest {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub seed: Option<u64>,
     /// Outputs, each at most once: `rgb`, `albedo`, `normal`, `metallic`, `roughness`, `visibility`, `depth`,
-    /// `alpha`, `diffuse`, `specular`, `radiance`, `position` (EXR only), and those of the ground below the model: `shadow`,
+    /// `alpha`, `diffuse`, `specular`, `radiance`, `position` (EXR only), `confidence`, and those of the ground below the model: `shadow`,
     /// `bounce` and `contact`. PNG and JPEG hold one output, EXR holds all. Omitted: `["rgb"]`.
     #[serde(default = "rgb_only")]
     #[schema(value_type = Vec<String>, example = json!(["rgb"]))]
     pub outputs: Vec<Output>,
-    /// Height (z) of the ground for the outputs `shadow`, `bounce` and `contact`, units of the capture. Omitted: the lowest point of the
-    /// model.
+    /// Height (z) of the ground for the outputs `shadow`, `bounce` and `contact`, units of the capture. Omitted: the lowest visible
+    /// point of the model.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub ground_height: Option<f64>,
     /// Background: `transparent` (JPEG shows white), `environment` (the light, in `rgb` only), or a display

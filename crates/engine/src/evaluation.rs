@@ -5,7 +5,7 @@ use std::borrow::Cow;
 
 use crate::cpu::training::{self, environment_radiance, tables_of};
 use crate::cpu::{
-    self, AttributeSource, Pass, Probes, SurfaceShader, Transport, outward_normals, radiance_image,
+    self, AttributeSource, Pass, Probes, Splat, SurfaceShader, Transport, outward_normals, radiance_image,
     sky_irradiance,
 };
 use crate::step::{Branches, Photo};
@@ -83,15 +83,9 @@ pub fn blending_weights(state: &TrainState, camera: &Camera) -> Vec<f32> {
 /// image counts as visible if it has a weight of half a pixel. `None` for a Gaussian that no pixel can show.
 pub fn visible_shares(state: &TrainState, camera: &Camera) -> Vec<Option<f32>> {
     let pass = colour_pass(state, camera);
-    let (width, height) = (camera.width as f32, camera.height as f32);
     let mut out = vec![None; state.model.gaussians.len()];
     for (splat, label) in pass.splats.iter().zip(cpu::backward_labels(&pass)) {
-        let [a, b, c] = splat.covariance;
-        let alone = std::f32::consts::TAU * splat.opacity * (a * c - b * b).max(0.0).sqrt();
-        let [x, y] = splat.mean;
-        let is_inside = (0.0..=width).contains(&x) && (0.0..=height).contains(&y);
-        let least = if is_inside { alone.clamp(f32::MIN_POSITIVE, width * height) } else { 0.5 };
-        out[splat.gaussian as usize] = Some((label.weight / least).min(1.0));
+        out[splat.gaussian as usize] = Some((label.weight / weight_alone(splat, camera)).min(1.0));
     }
     out
 }
@@ -196,6 +190,41 @@ fn weighted_sum<'a, const N: usize>(
         }
     }
     sum
+}
+
+/// Evidence of one photograph for a Gaussian.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ShownIn {
+    /// Summed blending weight, pixels.
+    pub weight: f32,
+    /// Share of the footprint that other Gaussians do not hide, as in [`visible_shares`].
+    pub share: f32,
+    /// Mean of `values` over the pixels to which the Gaussian contributes, by its weight.
+    pub mean: f32,
+}
+
+/// How the image of `camera` shows each Gaussian, with the means of `values`, one per row-major pixel. `None` for a Gaussian that no
+/// pixel can show.
+pub fn shown_in(state: &TrainState, camera: &Camera, values: &[f32]) -> Vec<Option<ShownIn>> {
+    let pass = colour_pass(state, camera);
+    let mut out = vec![None; state.model.gaussians.len()];
+    for (splat, [sum, weight]) in pass.splats.iter().zip(cpu::weighted_sums(&pass, values)) {
+        let mean = if weight > 0.0 { sum / weight } else { 0.0 };
+        let share = (weight / weight_alone(splat, camera)).min(1.0);
+        out[splat.gaussian as usize] = Some(ShownIn { weight, share, mean });
+    }
+    out
+}
+
+/// The summed weight that a splat would have without other splats, at most the number of pixels; half a pixel if its centre is outside
+/// of the image.
+fn weight_alone(splat: &Splat, camera: &Camera) -> f32 {
+    let (width, height) = (camera.width as f32, camera.height as f32);
+    let [a, b, c] = splat.covariance;
+    let alone = std::f32::consts::TAU * splat.opacity * (a * c - b * b).max(0.0).sqrt();
+    let [x, y] = splat.mean;
+    let is_inside = (0.0..=width).contains(&x) && (0.0..=height).contains(&y);
+    if is_inside { alone.clamp(f32::MIN_POSITIVE, width * height) } else { 0.5 }
 }
 
 fn colour_pass(state: &TrainState, camera: &Camera) -> Pass {

@@ -16,13 +16,16 @@ pub struct Gaussians {
     visibility_degree: usize,
     radiance_degree: usize,
     data: [Vec<f32>; Field::COUNT],
+    /// A value per Gaussian, or none.
+    confidence: Vec<f32>,
 }
 
 impl Gaussians {
     /// `len` zeroed Gaussians with K = `prototypes`, visibility of degree `visibility_degree` and radiance of degree
     /// `radiance_degree`.
     pub fn zeroed(len: usize, prototypes: usize, visibility_degree: usize, radiance_degree: usize) -> Self {
-        let mut out = Self { len, prototypes, visibility_degree, radiance_degree, data: Default::default() };
+        let (data, confidence) = Default::default();
+        let mut out = Self { len, prototypes, visibility_degree, radiance_degree, data, confidence };
         for field in Field::ALL {
             out.data[field as usize] = vec![0.0; len * out.width(field)];
         }
@@ -99,6 +102,17 @@ impl Gaussians {
         out
     }
 
+    /// Confidence of each Gaussian, 0 to 1 (docs/MODEL.md, section 10); `None` where it was not measured. A measurement, not a parameter: no
+    /// kernel reads it.
+    pub fn confidence(&self) -> Option<&[f32]> {
+        (!self.confidence.is_empty()).then_some(&self.confidence)
+    }
+
+    /// Stores the confidence of each Gaussian. An array of another length means that it was not measured.
+    pub fn set_confidence(&mut self, confidence: Vec<f32>) {
+        self.confidence = if confidence.len() == self.len { confidence } else { Vec::new() };
+    }
+
     /// False for a Gaussian that no photograph shows: frames omit it ([`Field::SamplingRate`]).
     #[inline]
     pub fn is_photographed(&self, i: usize) -> bool {
@@ -115,7 +129,8 @@ impl Gaussians {
     /// A copy of the Gaussians at `indices`, in that order; an index may repeat.
     #[must_use]
     pub fn gathered(&self, indices: &[usize]) -> Self {
-        let mut out = Self { len: indices.len(), data: Default::default(), ..*self };
+        let confidence = indices.iter().filter_map(|i| self.confidence.get(*i).copied()).collect();
+        let mut out = Self { len: indices.len(), data: Default::default(), confidence, ..*self };
         for field in Field::ALL {
             let rows = indices.iter().flat_map(|&i| self.row(field, i).iter().copied());
             out.data[field as usize] = rows.collect();
@@ -135,7 +150,7 @@ impl Gaussians {
 
     /// True when every float is finite.
     pub fn is_finite(&self) -> bool {
-        self.data.iter().flatten().all(|v| v.is_finite())
+        self.data.iter().flatten().chain(&self.confidence).all(|v| v.is_finite())
     }
 }
 
@@ -152,6 +167,16 @@ mod tests {
         let picked = g.gathered(&[2, 0, 2]);
         assert_eq!(picked.field(Field::Mean), &[2.0, 2.0, 2.0, 0.0, 0.0, 0.0, 2.0, 2.0, 2.0]);
         assert_eq!(picked.field(Field::ProtoLogits).len(), 6);
+    }
+
+    #[test]
+    fn confidence_follows_its_gaussians() {
+        let mut g = Gaussians::zeroed(3, 1, 0, 0);
+        assert_eq!(g.gathered(&[1]).confidence(), None);
+        g.set_confidence(vec![0.1, 0.2, 0.3]);
+        assert_eq!(g.gathered(&[2, 0, 2]).confidence(), Some(&[0.3, 0.1, 0.3][..]));
+        g.set_confidence(vec![0.1]);
+        assert_eq!(g.confidence(), None, "of another model");
     }
 
     #[test]

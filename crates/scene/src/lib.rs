@@ -28,7 +28,7 @@ pub use model::{
     DiffuseForm, Framing, IndirectForm, MAX_LIGHT_GROUPS, Model, ModelError, NormalForm, RECOVERED_GROUP,
     ShadeAt, ShadingOptions, VisibilityForm, softplus, softplus_inverse,
 };
-pub use opaque_extent::{opaque_bottom, opaque_centre, opaque_radius};
+pub use opaque_extent::{opaque_centre, opaque_radius};
 pub use output::Output;
 pub use packed_image::{BitDepth, PackedImage};
 pub use photographed_views::{

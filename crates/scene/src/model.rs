@@ -339,6 +339,10 @@ impl Model {
         for field in Field::ALL {
             check_values(field.name(), self.gaussians.field(field))?;
         }
+        let confidence = self.gaussians.confidence().unwrap_or_default();
+        if !confidence.iter().all(|c| (0.0..=1.0).contains(c)) {
+            return err("confidence", "must be 0 to 1");
+        }
         check_values("prototypes", self.prototypes.as_flattened())?;
         check_values("environment", self.env_raw.as_flattened())?;
         if !(self.world_scale.is_finite() && self.world_scale > 0.0 && self.world_offset.is_finite()) {

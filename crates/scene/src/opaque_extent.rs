@@ -12,10 +12,6 @@ const MAX_SCALE: f64 = 0.2;
 const MIN_GAUSSIANS: usize = 16;
 /// Share of the surface that may lie outside on each side: floaters.
 const OUTLIERS: f64 = 0.005;
-/// Share of the surface that may lie below the bottom. Feet are a small part of a surface.
-const BELOW: f64 = 0.002;
-/// Standard deviations from the mean of a Gaussian to the edge that it shows.
-const EDGE: f64 = 1.5;
 
 /// The middle of the opaque Gaussians whose means lie in a ball, in the units of the Gaussians. Each counts with its opacity times
 /// the area of its broadest side; large Gaussians are haze. `None` if there are too few.
@@ -38,32 +34,14 @@ pub fn opaque_radius(g: &Gaussians, centre: DVec3, radius: f64) -> Option<f64> {
     (reach > 0.0).then_some(reach)
 }
 
-/// The height (z) above which nearly all opaque Gaussians in a ball lie to 1.5 of their standard deviations. They count as in
-/// [`opaque_centre`]; those that no photograph shows (a negative sampling rate) do not count. `None` if there are too few.
-pub fn opaque_bottom(g: &Gaussians, centre: DVec3, radius: f64) -> Option<f64> {
-    let seen = counting(g, centre, radius).filter(|(i, ..)| g.row(Field::SamplingRate, *i)[0] >= 0.0);
-    let mut heights: Vec<(f64, f64)> =
-        seen.map(|(i, mean, weight)| (mean.z - EDGE * vertical_deviation(g, i), weight)).collect();
-    (heights.len() >= MIN_GAUSSIANS).then(|| quantile(&mut heights, BELOW))
-}
-
-/// Standard deviation of a Gaussian along z.
-fn vertical_deviation(g: &Gaussians, i: usize) -> f64 {
-    let [w, x, y, z] = g.get::<4>(Field::Quaternion, i).map(f64::from);
-    let turn = glam::DQuat::from_xyzw(x, y, z, w);
-    let up = if turn.length_squared() > 0.0 { turn.normalize().inverse() * DVec3::Z } else { DVec3::Z };
-    let scales = DVec3::from_array(g.get::<3>(Field::LogScale, i).map(|s| f64::from(s).exp()));
-    (up * scales).length()
-}
-
 /// Means and weights of the opaque Gaussians in the ball.
 fn surface(g: &Gaussians, centre: DVec3, radius: f64) -> Option<Vec<(DVec3, f64)>> {
-    let surface: Vec<_> = counting(g, centre, radius).map(|(_, mean, weight)| (mean, weight)).collect();
+    let surface: Vec<_> = counting(g, centre, radius).collect();
     (surface.len() >= MIN_GAUSSIANS).then_some(surface)
 }
 
-/// Numbers, means and weights of the opaque Gaussians in the ball.
-fn counting(g: &Gaussians, centre: DVec3, radius: f64) -> impl Iterator<Item = (usize, DVec3, f64)> {
+/// Means and weights of the opaque Gaussians in the ball.
+fn counting(g: &Gaussians, centre: DVec3, radius: f64) -> impl Iterator<Item = (DVec3, f64)> {
     (0..g.len()).filter_map(move |i| {
         let mean = DVec3::from_array(g.get::<3>(Field::Mean, i).map(f64::from));
         let opacity = 1.0 / (1.0 + (-f64::from(g.row(Field::OpacityLogit, i)[0])).exp());
@@ -73,7 +51,7 @@ fn counting(g: &Gaussians, centre: DVec3, radius: f64) -> impl Iterator<Item = (
             && scales[2] < MAX_SCALE * radius
             && (mean - centre).length() < radius
             && scales[1] > 0.0;
-        counts.then_some((i, mean, opacity * scales[1] * scales[2]))
+        counts.then_some((mean, opacity * scales[1] * scales[2]))
     })
 }
 
@@ -123,19 +101,6 @@ mod tests {
         assert!((centre - at).length() < 0.02, "{centre}");
         let radius = opaque_radius(&g, at, 1.0).unwrap();
         assert!((radius - 0.4).abs() < 0.01, "{radius}");
-        let bottom = opaque_bottom(&g, DVec3::ZERO, 1.0).unwrap();
-        assert!((bottom - (at.z - 0.4)).abs() < 0.03, "with its deviations, without the floater: {bottom}");
-        let mut hidden = g.clone();
-        (0..380).for_each(|i| hidden.row_mut(Field::SamplingRate, i)[0] = -1.0);
-        let of_top = opaque_bottom(&hidden, DVec3::ZERO, 1.0).unwrap();
-        assert!(
-            of_top < bottom + 0.03,
-            "the control: the last Gaussians of a sphere are its lowest: {of_top}"
-        );
-        (200..400).for_each(|i| hidden.row_mut(Field::SamplingRate, i)[0] = -1.0);
-        (0..200).for_each(|i| hidden.row_mut(Field::SamplingRate, i)[0] = 1.0);
-        let of_upper = opaque_bottom(&hidden, DVec3::ZERO, 1.0).unwrap();
-        assert!((of_upper - at.z).abs() < 0.05, "only the upper half was photographed: {of_upper}");
         let large = opaque_radius(&sphere(at, 0.7, &[]), at, 1.0).unwrap();
         assert!((large - 0.7).abs() < 0.01, "the control: {large}");
     }

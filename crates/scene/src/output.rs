@@ -39,6 +39,8 @@ pub enum Output {
     Bounce,
     /// Ambient occlusion of the ground by the model, 1 = open (1).
     Contact,
+    /// Confidence in the materials of the surface, 0 to 1; 0 in empty pixels (1).
+    Confidence,
 }
 
 impl Output {
@@ -52,7 +54,8 @@ impl Output {
             | Self::Visibility
             | Self::Depth
             | Self::Alpha
-            | Self::Contact => 1,
+            | Self::Contact
+            | Self::Confidence => 1,
         }
     }
 

@@ -7,6 +7,7 @@ pub mod complexity;
 mod context;
 mod crop;
 mod dataset;
+pub mod delight;
 mod density;
 mod error;
 pub mod eval;
@@ -28,6 +29,7 @@ mod surroundings;
 mod system_memory;
 pub mod time_budget;
 mod trainer;
+pub mod trust;
 mod unseen;
 mod world_up;
 

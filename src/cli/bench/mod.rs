@@ -2,6 +2,8 @@
 
 mod attribution;
 mod complexity;
+mod confidence;
+mod delight;
 #[cfg(feature = "gpu")]
 mod device;
 mod input;
@@ -40,6 +42,10 @@ enum BenchCommand {
     /// Measure how much each layer of a model contributes to the error of relit pictures, in dB, by replacing layers with ground
     /// truth.
     Attribution(attribution::AttributionArgs),
+    /// Rank correlation and sparsification error of the confidence of models.
+    Confidence(confidence::ConfidenceArgs),
+    /// Albedo of photographs without their light against the ground truth.
+    Delight(delight::DelightBenchArgs),
     /// Compare the poses that COLMAP finds for photographs with the poses in their capture.
     Poses(poses::BenchPosesArgs),
     /// Measure the throughput of the job queue without training, and the database size per job.
@@ -65,6 +71,8 @@ pub(super) fn run(args: &BenchArgs) -> CommandResult {
         BenchCommand::LightMatrix(args) => light_matrix::run(args),
         BenchCommand::Matrix(args) => matrix::run(args),
         BenchCommand::Attribution(args) => attribution::run(args),
+        BenchCommand::Confidence(args) => confidence::run(args),
+        BenchCommand::Delight(args) => delight::run(args),
         BenchCommand::Poses(args) => poses::run(args),
         BenchCommand::Queue(args) => queue::run(args),
         BenchCommand::Complexity(args) => complexity::run(args),

@@ -1,6 +1,7 @@
-//! `relume capture`: commands for photographs before a training.
+//! `relume capture`: commands for photographs before a training, and for further ones after it.
 
 mod check;
+mod next;
 mod poses;
 mod rig_svg;
 
@@ -24,11 +25,14 @@ enum CaptureCommand {
     Check(check::CheckArgs),
     /// Find the poses of photographs or of a video clip, with COLMAP and ffmpeg, and make a capture of them.
     Poses(poses::CapturePosesArgs),
+    /// Name the places from which further photographs would help a trained model most.
+    Next(next::NextArgs),
 }
 
 pub(super) fn run(args: &CaptureArgs) -> CommandResult<ExitCode> {
     match &args.command {
         CaptureCommand::Check(args) => check::run(args),
+        CaptureCommand::Next(args) => next::run(args).map(|()| ExitCode::SUCCESS),
         CaptureCommand::Poses(args) => poses::run(args).map(|()| ExitCode::SUCCESS),
     }
 }

@@ -42,7 +42,7 @@ pub(in crate::cli) struct RenderArgs {
     /// without materials `radiance`.
     #[arg(long, value_delimiter = ',', value_parser = named::<Output>)]
     pub(super) output: Vec<Output>,
-    /// Height (z) of the ground for the outputs `shadow`, `bounce` and `contact`, units of the capture. Default: the lowest point of the model.
+    /// Height (z) of the ground for the outputs `shadow`, `bounce` and `contact`, units of the capture. Default: the lowest visible point of the model.
     #[arg(long, value_name = "Z", allow_negative_numbers = true, value_parser = finite)]
     pub(super) ground_height: Option<f64>,
     /// Background: `transparent` (white in a JPEG), `environment` or a colour such as `f4f4f4`.
@@ -101,6 +101,12 @@ impl RenderArgs {
             );
         }
         let relightable = model.has_materials();
+        if self.output.contains(&Output::Confidence) && model.gaussians.confidence().is_none() {
+            return Err(
+                "--output: the model has no confidence; only models that this version trained have it"
+                    .to_owned(),
+            );
+        }
         if self.output.is_empty() {
             return Ok(vec![if relightable { Rgb } else { Radiance }]);
         }

@@ -129,7 +129,7 @@ async fn make(
 ) -> Result<ExportedFile, ExportError> {
     match &export.request {
         NewExport::Frames(spec) => frames::make(app, &export.record, spec, token).await,
-        NewExport::Splats(spec) => splats::make(app, &export.record, spec).await,
+        NewExport::Splats(spec) => splats::make(app, &export.record, spec, token).await,
         NewExport::Mesh(spec) => splats::make_mesh(app, &export.record, spec, token).await,
         NewExport::LightMatrix(spec) => light_matrix::make(app, &export.record, spec, token).await,
     }

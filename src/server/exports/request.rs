@@ -45,6 +45,12 @@ pub(super) async fn check(app: &AppState, tenant: &TenantId, export: &NewExport)
             if let Some(environment) = &splats.environment {
                 light(app, tenant, environment).await?;
             }
+            if splats.max_splats == Some(0) {
+                return Err(Problem::invalid_field("/max_splats", "must be at least 1"));
+            }
+            if splats.max_bytes == Some(0) {
+                return Err(Problem::invalid_field("/max_bytes", "must be at least 1"));
+            }
             if splats.relit_degree as usize > MAX_BAKED_DEGREE {
                 return Err(Problem::invalid_field(
                     "/relit_degree",

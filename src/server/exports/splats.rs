@@ -7,7 +7,7 @@ use crate::server::decoders::Decoders;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
 use crate::server::exports::light::light;
 use crate::server::exports::{model, request};
-use crate::server::memory::export_bytes;
+use crate::server::memory::{export_bytes, limited_export_bytes};
 use crate::store::{ExportRecord, ExportedFile, make_private};
 use crate::worker::{LightSource, ModelContent, ModelSource};
 use relume_api::TenantId;
@@ -17,7 +17,7 @@ use relume_capture::formats::model_file;
 use relume_scene::Model;
 use relume_spec::rendering::ExportedColour;
 use relume_train::render::{
-    RenderError, SplatFile, SplatFileError, encode_mesh_file, encode_splat_file, relit,
+    RenderError, SplatBudget, SplatFile, SplatFileError, encode_mesh_file, encode_splat_file_within, relit,
 };
 
 /// Makes a file of Gaussians.
@@ -25,6 +25,7 @@ pub(super) async fn make(
     app: &AppState,
     export: &ExportRecord,
     spec: &SplatsExport,
+    token: &CancellationToken,
 ) -> Result<ExportedFile, ExportError> {
     let shown = request::shown(spec)?;
     let environment = spec.environment.clone().unwrap_or_default();
@@ -34,14 +35,19 @@ pub(super) async fn make(
     };
     let (file, extension, content_type) = file_of(export.kind);
     let (degree, flatten) = (spec.relit_degree as usize, spec.flatten);
+    let budget = SplatBudget { splats: spec.max_splats, bytes: spec.max_bytes };
     let (source, _) = model::source(app, export, &spec.materials).await?;
-    let bytes_of = |size| export_bytes(size, 0);
+    let is_limited = spec.max_splats.is_some() || spec.max_bytes.is_some();
+    let bytes_of = move |size| if is_limited { limited_export_bytes(size) } else { export_bytes(size, 0) };
+    let token = token.clone();
     let bytes =
         with_model(app, &app.exports.file_threads, &export.tenant, (&source, &bytes_of), move |mut model| {
             if let Some(light) = light {
                 model = relight(model, &light, &environment, degree)?;
             }
-            encode_splat_file(&model, file, shown, flatten).map_err(refused)
+            encode_splat_file_within(model, file, shown, flatten, budget, &|| !token.is_cancelled())
+                .map(|file| file.bytes)
+                .map_err(refused)
         })
         .await?;
     let layer = shown.map_or_else(String::new, |shown| format!("-{}", layer_name(shown)));

@@ -158,7 +158,7 @@ pub struct RenderTask {
     pub quality: Quality,
     /// The outputs.
     pub outputs: Vec<Output>,
-    /// Height of the ground, capture units; `None`: the lowest point of the model.
+    /// Height of the ground, capture units; `None`: the lowest visible point of the model.
     pub ground_height: Option<f64>,
     /// Lamps beside the light. The exposure does not change them.
     pub lamps: Vec<Lamp>,

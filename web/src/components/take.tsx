@@ -5,9 +5,10 @@ import type { Environments, EnvironmentSpec, Export, Listed, MaterialEdit, Signe
 import { bytes, called, spoken } from '../format'
 import { useLoaded } from '../hooks'
 import { exportStaged, shining, type Staging } from '../lamps'
-import { environment, exportName, exportOf, TAKEN, type Look, type View } from '../look'
+import { environment, exportName, exportOf, exportWithin, hasGaussians, TAKEN, type Look, type View } from '../look'
 import { exportWith, isLitByChanges } from '../materials'
 import { Badge, Failure } from './common'
+import { NumberField } from './number-field'
 
 type Taken = keyof typeof TAKEN
 
@@ -28,6 +29,7 @@ export function TakeAlong({ model, look, view, lights, edits, staging }: TakeAlo
   const [what, setWhat] = useState<Taken>('frames')
   const [frames, setFrames] = useState(60)
   const [side, setSide] = useState(512)
+  const [most, setMost] = useState<number>()
   const [error, setError] = useState<PageError>()
   const [isMaking, setMaking] = useState(false)
   const made = useLoaded<Listed<Export>>(`v1/exports?limit=8&model=${encodeURIComponent(model)}`, isMaking ? EVERY : undefined)
@@ -41,7 +43,7 @@ export function TakeAlong({ model, look, view, lights, edits, staging }: TakeAlo
   const start = (event: Event) => {
     event.preventDefault()
     const builtin = lights?.builtin ?? []
-    const request = exportStaged(exportWith(exportOf(what, look, view, builtin, frames, side), edits, environment(look, builtin)), staging)
+    const request = exportWithin(exportStaged(exportWith(exportOf(what, look, view, builtin, frames, side), edits, environment(look, builtin)), staging), most)
     void act(post<Export>(`v1/models/${encodeURIComponent(model)}/exports`, request))
   }
   const isTurntable = what === 'frames' || what === 'video' || what === 'layers'
@@ -62,9 +64,15 @@ export function TakeAlong({ model, look, view, lights, edits, staging }: TakeAlo
             <Whole id="take-side" label="Side, px" value={side} least={2} most={4096} onInput={setSide} />
           </div>
         ) : null}
+        {hasGaussians(what) ? (
+          <div>
+            <NumberField id="take-most" label="Gaussians at most (optional)" value={most} step={1} least={1} empty="all" onInput={setMost} />
+            <p class="hint">The file has those that contribute most to views around the model.</p>
+          </div>
+        ) : null}
         {edits.length > 0 ? <p class="small">The file has the changes of {edits.length === 1 ? '1 material' : `${edits.length} materials`}{isLitByChanges(what) ? ', under the chosen light' : ''}.</p> : null}
         {lamps > 0 ? <p class="small">{isTurntable ? `The pictures have the light of ${lamps === 1 ? '1 lamp' : `${lamps} lamps`}.` : 'This file has no lamps; turntables have them.'}</p> : null}
-        {what === 'layers' ? <p class="small">Each EXR has the picture, its depth, and the <code>shadow</code>, <code>bounce</code> and <code>contact</code> of the ground{staging.height === undefined ? ' below the lowest point of the model' : ` at the height ${staging.height}`}, under the environment without lamps.</p> : null}
+        {what === 'layers' ? <p class="small">Each EXR has the picture, its depth, and the <code>shadow</code>, <code>bounce</code> and <code>contact</code> of the ground{staging.height === undefined ? ' at the lowest visible point of the model' : ` at the height ${staging.height}`}, under the environment without lamps.</p> : null}
         <div class="row"><button type="submit">Make it</button></div>
       </form>
       <Failure error={error ?? made.error} />

@@ -4,6 +4,7 @@ import { explain, type PageError } from '../api/page-error'
 import type { Environments, MaterialEdit, Model } from '../api/types'
 import { Calibration } from '../components/calibration'
 import { Choices, Facts, Failure, Head, Missing, save, Slider } from '../components/common'
+import { Confidence } from '../components/confidence'
 import { Lights } from '../components/lights'
 import { Lamps } from '../components/lamps'
 import { LightComparison } from '../components/light-comparison'
@@ -68,6 +69,7 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
             <ViewerPanel key={`viewer ${version}`} model={model} look={look} query={view ? new URLSearchParams(written(look, view, centre)) : query} lights={lights.data} onView={seen} view={view} onRotation={(rotation) => change({ rotation })} />
             <Materials key={`materials ${version}`} model={model} look={look} view={view} lights={lights.data} edits={edits} onChange={setEdits} />
             <Lamps key={`lamps ${version}`} model={model} look={look} view={view} lights={lights.data} edits={edits} staging={staging} onChange={setStaging} />
+            <Confidence key={`confidence ${version}`} model={model} look={look} view={view} lights={lights.data} />
             <LightComparison key={`lights ${version}`} model={id} view={view} lights={lights.data} onChange={(light) => change({ light })} />
             <section class="card stack" aria-labelledby="wipe">
               <h2 id="wipe">Against a photograph</h2>

@@ -29,6 +29,7 @@ _CHANNELS = {
     "shadow": ("shadow.R", "shadow.G", "shadow.B"),
     "bounce": ("bounce.R", "bounce.G", "bounce.B"),
     "contact": ("contact.Y",),
+    "confidence": ("confidence.Y",),
 }
 
 

@@ -269,7 +269,7 @@ class Model(Resource):
     ) -> Frame:
         """A frame as linear arrays, its `alpha` among them. `size` is width and height, or both. `materials` are changes of materials.
 
-        `ground_height` is the height of the ground for the outputs `shadow`, `bounce` and `contact`; by default the lowest point of the model.
+        `ground_height` is the height of the ground for the outputs `shadow`, `bounce` and `contact`; by default the lowest visible point of the model.
         `lamps` are lights at a place, e.g. `{"shape": "point", "position": [1, 0, 2], "intensity": 20, "kelvin": 3200}`.
         """
         asked = self._request(camera, environment, size, [*dict.fromkeys([*outputs, "alpha"])], tier, rotation_deg, exposure_ev)

@@ -34,6 +34,9 @@ const LIGHTS_KEY: &str = "lights";
 /// Tensor of the share of each texel that belongs to each light.
 const SHARES_KEY: &str = "light_shares";
 
+/// Tensor of the confidence of each Gaussian; absent where it was not measured.
+const CONFIDENCE_KEY: &str = "confidence";
+
 /// Errors of reading and writing model files.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelFileError {
@@ -119,6 +122,9 @@ pub fn tensors(model: &Model) -> Vec<(String, Tensor<'_>)> {
     let g = &model.gaussians;
     let gaussians = Field::ALL.map(|f| (f.name().to_owned(), Tensor::new([g.len(), g.width(f)], g.field(f))));
     let mut out = Vec::from(gaussians);
+    if let Some(confidence) = g.confidence() {
+        out.push((CONFIDENCE_KEY.to_owned(), Tensor::new([g.len()], confidence)));
+    }
     let prototypes: &[f32] = model.prototypes.as_flattened();
     out.push(("prototypes".to_owned(), Tensor::new([model.prototypes.len(), 3], prototypes)));
     let (first, others) = model.env_raw.split_at(model.env_texels().min(model.env_raw.len()));
@@ -233,6 +239,10 @@ pub fn decode(bytes: &[u8]) -> Result<Model, ModelFileError> {
     for (field, _, data) in gaussians.fields_mut().filter(|(field, ..)| present(*field)) {
         *data = floats(&file, field.name(), data.len())?;
     }
+    if file.tensor(CONFIDENCE_KEY).is_ok() {
+        let count = gaussians.len();
+        gaussians.set_confidence(floats(&file, CONFIDENCE_KEY, count)?);
+    }
     let triples = |name: &str, count: usize| -> Result<Vec<[f32; 3]>, ModelFileError> {
         let flat = floats(&file, name, count.saturating_mul(3))?;
         Ok(flat.as_chunks::<3>().0.to_vec())
@@ -319,6 +329,22 @@ mod tests {
         model.framing = Some(Framing { eye: framing.target, ..framing });
         let refused = decode(&encode(&model).unwrap()).map(|_| ()).unwrap_err();
         assert!(refused.to_string().contains("framing"), "{refused}");
+    }
+
+    #[test]
+    fn confidence_is_stored_and_checked() {
+        let mut model = example();
+        model.gaussians.set_confidence(vec![0.0, 0.5, 1.0]);
+        assert_eq!(
+            decode(&encode(&model).unwrap()).unwrap().gaussians.confidence(),
+            Some(&[0.0, 0.5, 1.0][..])
+        );
+        for bad in [-0.1, 1.5, f32::NAN] {
+            model.gaussians.set_confidence(vec![0.5, bad, 0.5]);
+            let refused = decode(&encode(&model).unwrap()).map(|_| ()).unwrap_err();
+            assert!(refused.to_string().contains("confidence"), "{refused}");
+        }
+        assert_eq!(decode(&encode(&example()).unwrap()).unwrap().gaussians.confidence(), None, "the control");
     }
 
     #[test]

@@ -34,15 +34,21 @@ impl ShownSplats {
     /// Floats per row of materials.
     pub(super) const MATERIAL: usize = Channels::Material.stored();
 
-    /// Projects the Gaussians of `source`.
+    /// Projects the Gaussians of `source`, with their materials.
     pub(super) fn new(source: &AttributeSource<'_>, view: RasterCamera) -> Self {
+        let projected = Self::without_materials(source, view);
+        let of_shown: Vec<Splat> = projected.shown.iter().map(|i| projected.splats[*i as usize]).collect();
+        let materials = attribute_rows(source, &view, &of_shown, Channels::Material, Self::MATERIAL);
+        Self { materials, ..projected }
+    }
+
+    /// Projects the Gaussians of `source`.
+    pub(super) fn without_materials(source: &AttributeSource<'_>, view: RasterCamera) -> Self {
         let splats = project_all(source, &view);
         let tiles = TileLists::new(view.width, view.height, &splats);
         let shown: Vec<u32> =
             (0..splats.len()).filter(|i| !tiles.slots_of_splat(*i).is_empty()).map(|i| i as u32).collect();
-        let of_shown: Vec<Splat> = shown.iter().map(|i| splats[*i as usize]).collect();
-        let materials = attribute_rows(source, &view, &of_shown, Channels::Material, Self::MATERIAL);
-        Self { view, splats, tiles, shown, materials }
+        Self { view, splats, tiles, shown, materials: Vec::new() }
     }
 
     /// The rows of the shown splats in `attributes`, which has a row of `stored` floats for each splat.

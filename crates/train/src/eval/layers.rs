@@ -36,7 +36,7 @@ pub fn normal_errors(
     Some(NormalErrors { foreground: foreground / inside as f64, all_pixels: all_pixels / mask.len() as f64 })
 }
 
-fn unit(n: [f32; 3]) -> glam::DVec3 {
+pub(super) fn unit(n: [f32; 3]) -> glam::DVec3 {
     glam::DVec3::from_array(n.map(f64::from)).normalize_or_zero()
 }
 
@@ -46,7 +46,7 @@ fn blended(n: [f32; 3], alpha: f32) -> glam::DVec3 {
 }
 
 /// The angle between two unit vectors; 90 degrees when one is zero.
-fn angle_deg(a: glam::DVec3, b: glam::DVec3) -> f64 {
+pub(super) fn angle_deg(a: glam::DVec3, b: glam::DVec3) -> f64 {
     // atan2 is accurate where acos of a rounded cosine near 1 is not.
     if a == glam::DVec3::ZERO || b == glam::DVec3::ZERO {
         return 90.0;

@@ -5,9 +5,11 @@
 
 mod attribution;
 mod cell;
+mod confidence;
 mod contact;
 mod conv;
 mod coverage;
+mod delit_albedo;
 mod evaluate;
 mod exposure;
 mod image;
@@ -25,7 +27,9 @@ mod views;
 
 pub use attribution::{TruthLayer, attribute};
 pub use cell::CELL;
+pub use confidence::{ConfidenceScore, ConfidenceScores, confidence_scores};
 pub use contact::contact_sheet;
+pub use delit_albedo::{DelitAlbedoScores, delit_albedo_scores};
 pub use evaluate::{EvalError, EvalOptions, evaluate};
 pub use evaluate::{evenly_spaced, lights_of};
 pub use image::{DisplayImage, PSNR_CAP, mean_squared_error, psnr, psnr_of, ssim};
@@ -38,5 +42,6 @@ pub use report::{AlbedoScores, ImageScores, NormalScores, RelitScores, Report, V
 pub use sheet::{Column, Sheet, SheetFormat};
 pub use sheet_rows::SheetRows;
 pub use summary::CaptureFacts;
+pub(crate) use views::light_of;
 pub use views::on_white;
 pub use views::photograph;

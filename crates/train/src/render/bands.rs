@@ -80,6 +80,11 @@ impl Renderer {
     ) -> Result<Bands<'a>, RenderError> {
         self.check_light(light)?;
         quality.check().map_err(|reason| RenderError::Refused { field: "samples", reason })?;
+        if outputs.contains(&Output::Confidence) && self.model().gaussians.confidence().is_none() {
+            let reason =
+                "the model has no confidence; only models that this version trained have it".to_owned();
+            return Err(RenderError::Refused { field: "outputs", reason });
+        }
         let mut outputs = outputs.to_vec();
         outputs.push(Output::Alpha);
         outputs.sort_unstable();
@@ -114,7 +119,8 @@ impl Renderer {
 
 /// The outputs that a device renders for `outputs`.
 fn of_device(outputs: &[Output]) -> Vec<Output> {
-    let renders = |output: &Output| !output.is_of_ground() && *output != Output::Position;
+    let renders =
+        |output: &Output| !output.is_of_ground() && !matches!(output, Output::Position | Output::Confidence);
     let mut of_device: Vec<Output> = outputs.iter().copied().filter(renders).collect();
     if outputs.contains(&Output::Position) && !outputs.contains(&Output::Depth) {
         of_device.push(Output::Depth);
@@ -247,10 +253,15 @@ impl Bands<'_> {
             colour: renderer.colour(quality.tier, &self.of_device),
             depth_scale: (1.0 / renderer.model().world_scale) as f32,
         };
-        Ok(match quality.tier {
+        let mut frame = match quality.tier {
             Tier::Preview | Tier::Standard => light.frame.render(&job)?,
             Tier::High | Tier::MonteCarlo => self.render_by_rays(&job, first)?,
-        })
+        };
+        if self.outputs.contains(&Output::Confidence) {
+            let values = renderer.model().gaussians.confidence().unwrap_or_default();
+            frame.planes.insert(Output::Confidence, renderer.host().blended(view, values));
+        }
+        Ok(frame)
     }
 
     /// Renders a band of a ray-traced tier on the device.
@@ -356,6 +367,29 @@ mod tests {
         let render = |light| renderer.render(&camera, light, Tier::Standard, &[Output::Rgb]);
         assert!(matches!(render(&foreign), Err(RenderError::Device(DeviceError::Misuse(_)))));
         assert!(render(&own).is_ok(), "the control");
+    }
+
+    #[test]
+    fn every_tier_blends_confidence_and_refuses_models_without_it() {
+        let outputs = [Output::Rgb, Output::Confidence];
+        let camera =
+            Camera::look_at(DVec3::new(0.2, -3.0, 0.4), DVec3::ZERO, DVec3::Z, 0.7, (50, 70)).unwrap();
+        let render = |renderer: &Renderer, tier: Tier| {
+            let light = renderer.prepare_light(EnvMap::constant(8, 4, [1.0; 3])).unwrap();
+            renderer.render(&camera, &light, Quality { samples: 4, ..tier.into() }, &outputs)
+        };
+        let refused = render(&balls(), Tier::Standard).unwrap_err();
+        assert!(matches!(refused, RenderError::Refused { field: "outputs", .. }), "{refused}");
+        let mut model = balls().model().clone();
+        model.gaussians.set_confidence(vec![0.75; model.gaussians.len()]);
+        let renderer = Renderer::new(Arc::new(model));
+        for tier in Tier::ALL {
+            let frame = render(&renderer, tier).unwrap();
+            let pixels = frame.planes[&Output::Confidence].iter().zip(&frame.planes[&Output::Alpha]);
+            let (covered, empty): (Vec<_>, Vec<_>) = pixels.partition(|(_, alpha)| **alpha > 0.5);
+            assert!(covered.len() > 50 && covered.iter().all(|(c, _)| (**c - 0.75).abs() < 1e-4), "{tier:?}");
+            assert!(empty.iter().any(|(c, _)| **c == 0.0), "{tier:?}");
+        }
     }
 
     #[test]

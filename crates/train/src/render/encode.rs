@@ -232,6 +232,7 @@ fn layer_name(output: Output) -> (&'static str, &'static str) {
         Output::Shadow => ("shadow", "RGB"),
         Output::Bounce => ("bounce", "RGB"),
         Output::Contact => ("contact", "Y"),
+        Output::Confidence => ("confidence", "Y"),
         Output::Metallic => ("metallic", "Y"),
         Output::Roughness => ("roughness", "Y"),
         Output::Visibility => ("visibility", "Y"),

@@ -4,8 +4,8 @@ use glam::DVec3;
 
 use crate::render::{Frame, PreparedLight, Renderer};
 use relume_engine::{Ground, GroundRadiance, GroundView, RasterCamera};
+use relume_scene::Output;
 use relume_scene::light::{LightCell, disc_points, light_cells};
-use relume_scene::{Output, opaque_bottom};
 
 /// Cells of the light, besides its strong small lights.
 const CELLS: usize = 256;
@@ -17,8 +17,6 @@ const MAX_POINTS: usize = 1 << 19;
 const SIDES: [usize; 2] = [128, 1024];
 /// Texels along a side of the pictures that the ground sees. They are coarse, because their directions are far apart.
 const SEEN_SIDE: usize = 64;
-/// Radius of the ball in which the lowest point of a model is searched, normalised world.
-const REACH: f64 = 4.0;
 
 /// The planes of the ground of a frame, computed in steps of a fraction of a second.
 pub(super) struct GroundPlanes<'a> {
@@ -70,21 +68,6 @@ impl GroundPoint {
             Output::Bounce => &self.bounce,
             _ => std::slice::from_ref(&self.contact),
         }
-    }
-}
-
-impl Renderer {
-    /// Height of the ground, capture units: the lowest point of the opaque Gaussians, without outliers.
-    pub fn ground_height(&self) -> f64 {
-        let model = self.model();
-        let bottom = opaque_bottom(&model.gaussians, DVec3::ZERO, REACH).unwrap_or(-1.0);
-        bottom / model.world_scale - model.world_offset.z
-    }
-
-    /// `height` in the normalised world; `None`: [`Self::ground_height`].
-    pub(super) fn normalised_height(&self, height: Option<f64>) -> f32 {
-        let model = self.model();
-        ((height.unwrap_or_else(|| self.ground_height()) + model.world_offset.z) * model.world_scale) as f32
     }
 }
 

@@ -54,12 +54,14 @@ impl PreparedLight {
 /// A model prepared for rendering; may be shared between threads.
 pub struct Renderer {
     pub(super) frames: Arc<dyn FrameRenderer>,
+    /// Height of the ground, capture units.
+    pub(super) ground: OnceLock<f64>,
 }
 
 impl Renderer {
     /// A renderer of a checked model on the CPU engine.
     pub fn new(model: Arc<Model>) -> Self {
-        Self { frames: Device::cpu_frames(model) }
+        Self { frames: Device::cpu_frames(model), ground: OnceLock::new() }
     }
 
     /// A renderer of a checked model on `device`.
@@ -67,7 +69,7 @@ impl Renderer {
     /// # Errors
     /// If the device cannot hold the model.
     pub fn on(model: Arc<Model>, device: &Device) -> Result<Self, DeviceError> {
-        Ok(Self { frames: device.frames(model)? })
+        Ok(Self { frames: device.frames(model)?, ground: OnceLock::new() })
     }
 
     /// The model.

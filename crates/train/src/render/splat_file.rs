@@ -5,6 +5,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::render::renderer::Renderer;
+use crate::render::splat_budget::{BudgetedFile, SplatBudget};
 use crate::render::{MeshOptions, RenderError};
 use relume_capture::formats::environment::{self, EnvironmentFileError};
 use relume_capture::formats::ply_model::{self, PlyProperties};
@@ -55,6 +56,12 @@ pub enum SplatFileError {
     /// The model could not be rendered.
     #[error(transparent)]
     Render(#[from] RenderError),
+    /// The limit is too small for one Gaussian.
+    #[error("a file of {limit} bytes cannot hold a Gaussian; allow a larger file")]
+    Budget {
+        /// The limit, bytes.
+        limit: u64,
+    },
 }
 
 /// Encodes a model.
@@ -68,7 +75,7 @@ pub enum SplatFileError {
 ///
 /// # Errors
 /// If the file would be too large for its format.
-pub fn encode_splat_file(
+fn encode_splat_file(
     model: &Model,
     file: SplatFile,
     shown: Option<ExportedColour>,
@@ -101,13 +108,34 @@ pub fn encode_splat_file(
     })
 }
 
+/// Encodes a model as [`encode_splat_file`], with as many Gaussians as `budget` allows. Stops early once `is_wanted` returns false.
+///
+/// # Errors
+/// If the file would be too large for its format, or the budget too small for one Gaussian.
+pub fn encode_splat_file_within(
+    model: Model,
+    file: SplatFile,
+    shown: Option<ExportedColour>,
+    flatten: bool,
+    budget: SplatBudget,
+    is_wanted: &dyn Fn() -> bool,
+) -> Result<BudgetedFile, SplatFileError> {
+    let has_rates = file == SplatFile::Ply && shown.is_none() && model.has_materials();
+    let shown_model = if has_rates { None } else { hidden_left_out(&model) };
+    let model = shown_model.unwrap_or(model);
+    budget.encode(model, |model| encode_splat_file(model, file, shown, flatten), is_wanted)
+}
+
 /// The model without the Gaussians that frames omit.
 fn as_shown(model: &Model) -> Cow<'_, Model> {
+    hidden_left_out(model).map_or(Cow::Borrowed(model), Cow::Owned)
+}
+
+/// The model without the Gaussians that frames omit; `None` if it has no such Gaussians.
+fn hidden_left_out(model: &Model) -> Option<Model> {
     let g = &model.gaussians;
-    if (0..g.len()).all(|i| g.is_photographed(i)) {
-        return Cow::Borrowed(model);
-    }
-    Cow::Owned(Model { gaussians: g.photographed(), ..model.clone() })
+    let has_hidden = (0..g.len()).any(|i| !g.is_photographed(i));
+    has_hidden.then(|| Model { gaussians: g.photographed(), ..model.clone() })
 }
 
 /// The model with its colours under `light`, as SH of `degree` (at most

@@ -6,7 +6,7 @@ use crate::calibration::{CalibrationTime, calibrate, calibrate_by_chart};
 use crate::dataset::Gain;
 use crate::time_budget::plan_card;
 use crate::trainer::Trainer;
-use crate::{TrainError, exposure, light_groups, sampling_rate};
+use crate::{TrainError, exposure, light_groups, sampling_rate, trust};
 use relume_engine::{Device, PhotoSize};
 use relume_scene::light::LightColour;
 use relume_scene::{Model, SplitLight};
@@ -39,6 +39,10 @@ impl Trainer {
         });
         if let Some((field, plan)) = plan_card(&self.config, &self.schedule.timeline) {
             model.card[field] = plan;
+        }
+        if self.is_done() && self.is_relightable() {
+            let state = self.engine.state()?.into_owned();
+            model.gaussians.set_confidence(trust::confidence(&state, &self.context(), &self.data));
         }
         self.calibrate(&mut model);
         Ok(model)

@@ -225,11 +225,15 @@ fn finished_model_hides_gaussians_that_no_photograph_shows() {
     state.model.gaussians.row_mut(Field::Mean, 7).copy_from_slice(&[90.0, 0.0, 0.0]);
     trainer.engine.load(state).unwrap();
     let is_hidden = |model: &Model| !model.gaussians.is_photographed(7);
-    assert!(!is_hidden(&trainer.model().unwrap()), "previews show every Gaussian");
+    let preview = trainer.model().unwrap();
+    assert!(!is_hidden(&preview), "previews show every Gaussian");
+    assert_eq!(preview.gaussians.confidence(), None, "previews have no confidence");
     while !trainer.is_done() {
         trainer.step().unwrap();
     }
     let model = trainer.model().unwrap();
     assert!(is_hidden(&model));
+    let confidence = model.gaussians.confidence().unwrap();
+    assert!(confidence[7] == 0.0 && confidence.iter().any(|c| *c > 0.1), "{confidence:?}");
     assert!((0..model.gaussians.len()).any(|i| model.gaussians.is_photographed(i)), "the control");
 }

@@ -62,7 +62,11 @@ fn expected(pass: &Pass, shader: &SurfaceShader<'_>, plane: Output, x: usize, y:
         Output::Roughness => vec![s.rough],
         Output::Visibility => vec![shader.ambient_occlusion(&s.visibility, normal).clamp(0.0, 1.0)],
         Output::Depth => vec![pass.at(x, y, channel::DEPTH) / coverage * DEPTH_SCALE],
-        plane @ (Output::Position | Output::Shadow | Output::Bounce | Output::Contact) => {
+        plane @ (Output::Position
+        | Output::Shadow
+        | Output::Bounce
+        | Output::Contact
+        | Output::Confidence) => {
             panic!("no engine renders {plane:?}")
         }
         Output::Alpha => vec![alpha],

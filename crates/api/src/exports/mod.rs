@@ -3,6 +3,8 @@
 //!
 //! The database stores [`NewExport`] and [`ExportState`] of each export.
 
+mod splats;
+
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -12,9 +14,10 @@ use crate::models::FileView;
 use crate::renders::EnvironmentSpec;
 use crate::{ExportId, ModelId, NerfstudioWorld};
 use relume_spec::rendering::{
-    AlphaMode, Background, ColourDepth, ExportedColour, FrameFormat, Lamp, MAX_BAKED_DEGREE, MaterialEdit,
-    Output, Primaries, Tier, ToneCurve,
+    AlphaMode, Background, ColourDepth, FrameFormat, Lamp, MaterialEdit, Output, Primaries, Tier, ToneCurve,
 };
+
+pub use splats::{SplatsExport, SplatsKind};
 
 /// An export to create. `kind` selects one of the four forms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -164,8 +167,8 @@ pub struct FramesExport {
     #[serde(default = "rgb_only")]
     #[schema(value_type = Vec<String>, example = json!(["rgb"]))]
     pub outputs: Vec<Output>,
-    /// Height (z) of the ground for the outputs `shadow`, `bounce` and `contact`, units of the capture. Omitted: the lowest point of the
-    /// model.
+    /// Height (z) of the ground for the outputs `shadow`, `bounce` and `contact`, units of the capture. Omitted: the lowest visible
+    /// point of the model.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub ground_height: Option<f64>,
     /// File format of the frames: `png`, `jpeg` or `exr`. Omitted: `png`. A video needs `png` or `jpeg`.
@@ -247,65 +250,6 @@ pub enum Package {
     Zip,
     /// An H.264 video.
     Mp4,
-}
-
-/// Kind of an export of Gaussians: `gltf`, `usd`, `usdz` or `ply`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum SplatsKind {
-    /// glTF with KHR_gaussian_splatting, `.glb`.
-    Gltf,
-    /// OpenUSD as text, `.usda`.
-    Usd,
-    /// An OpenUSD package, `.usdz`.
-    Usdz,
-    /// PLY.
-    Ply,
-}
-
-/// Gaussians in a file format of other programs, as from `relume export`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct SplatsExport {
-    /// File format: `gltf`, `usd`, `usdz` or `ply`.
-    pub kind: SplatsKind,
-    /// Quantity stored as colour: `radiance` (as in the photographs), `relit`, `albedo`, `normal`,
-    /// `roughness` or `metallic`. Omitted: `relit` if `environment` is given, otherwise `radiance`; a PLY
-    /// without `layer` and `environment` also contains the materials.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(value_type = Option<String>, pattern = "^(radiance|relit|albedo|normal|roughness|metallic)$")]
-    pub layer: Option<ExportedColour>,
-    /// Light of the layer `relit`; not allowed with other layers. Omitted: the light of the capture.
-    /// `inline_base64` is not accepted.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub environment: Option<EnvironmentSpec>,
-    /// SH degree of the layer `relit`, 0 to 3. A higher degree stores more of the view dependence of
-    /// highlights. Omitted: 3.
-    #[serde(default = "most_degree")]
-    #[schema(minimum = 0, maximum = 3)]
-    pub relit_degree: u32,
-    /// Rotates each Gaussian so that its shortest axis is its shading normal, for programs that use that axis
-    /// as the normal. Omitted: false.
-    #[serde(default)]
-    pub flatten: bool,
-    /// Changes of materials, as in a render request. Omitted: none.
-    #[serde(skip_serializing_if = "Vec::is_empty", default)]
-    #[schema(max_items = 1000)]
-    pub materials: Vec<MaterialEdit>,
-}
-
-impl SplatsExport {
-    /// An export of `kind`. All other fields have their defaults.
-    pub fn of(kind: SplatsKind) -> Self {
-        Self {
-            kind,
-            layer: None,
-            environment: None,
-            relit_degree: most_degree(),
-            flatten: false,
-            materials: Vec::new(),
-        }
-    }
 }
 
 /// Kind of a mesh export.
@@ -484,10 +428,6 @@ fn rgb_only() -> Vec<Output> {
 
 fn full_turn() -> f64 {
     360.0
-}
-
-fn most_degree() -> u32 {
-    MAX_BAKED_DEGREE as u32
 }
 
 fn lobes() -> u32 {
