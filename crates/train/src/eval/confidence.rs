@@ -124,7 +124,7 @@ impl<'a> ViewPixels<'a> {
         if let Some(truth) = &view.truth.normal {
             let found = plane(Output::Normal).as_chunks::<3>().0;
             let angle = |i: &usize| {
-                let [a, b] = [found[*i], truth.values[*i]].map(|n| unit(n));
+                let [a, b] = [found[*i], truth.values[*i]].map(unit);
                 angle_deg(a, b) as f32
             };
             out.normal = out.indices.iter().map(angle).collect();

@@ -64,17 +64,7 @@ pub enum SplatFileError {
     },
 }
 
-/// Encodes a model.
-///
-/// Without `shown`, the colour is the radiance and a PLY includes the materials. With `shown`, and for a model
-/// without materials, a PLY is an ordinary splat file. For [`ExportedColour::Relit`] the model must come from
-/// [`relit`]. With `flatten`, each Gaussian is rotated until its shortest axis is its shading normal.
-///
-/// The PLY with materials states the sampling rates. All other files have Gaussians widened for enlargement
-/// ([`Splats::with_low_pass`]), without those that no photograph shows.
-///
-/// # Errors
-/// If the file would be too large for its format.
+/// Encodes a whole model, see [`encode_splat_file_within`].
 fn encode_splat_file(
     model: &Model,
     file: SplatFile,
@@ -108,10 +98,17 @@ fn encode_splat_file(
     })
 }
 
-/// Encodes a model as [`encode_splat_file`], with as many Gaussians as `budget` allows. Stops early once `is_wanted` returns false.
+/// Encodes a model with as many Gaussians as `budget` allows. Stops early once `is_wanted` returns false.
+///
+/// Without `shown`, the colour is the radiance and a PLY includes the materials. With `shown`, and for a model
+/// without materials, a PLY is an ordinary splat file. For [`ExportedColour::Relit`] the model must come from
+/// [`relit`]. With `flatten`, each Gaussian is rotated until its shortest axis is its shading normal.
+///
+/// The PLY with materials states the sampling rates. All other files have Gaussians widened for enlargement
+/// ([`Splats::with_low_pass`]), without those that no photograph shows.
 ///
 /// # Errors
-/// If the file would be too large for its format, or the budget too small for one Gaussian.
+/// If the file would be too large for its format, or the budget is too small for one Gaussian, or the file is not wanted.
 pub fn encode_splat_file_within(
     model: Model,
     file: SplatFile,
