@@ -51,9 +51,11 @@ pub(super) fn run(args: &NextArgs) -> CommandResult {
     for (place, NextPhotograph { candidate, lack, nearest_deg }) in next.iter().enumerate() {
         let towards = (candidates[*candidate].centre() - photographed.target).normalize_or_zero();
         let azimuth = (towards.y.atan2(towards.x).to_degrees() - photographed.azimuth_deg).rem_euclid(360.0);
-        let elevation = towards.z.clamp(-1.0, 1.0).asin().to_degrees();
+        // Whole numbers have no negative zero.
+        let [azimuth, elevation] =
+            [azimuth, towards.z.clamp(-1.0, 1.0).asin().to_degrees()].map(|degrees| degrees.round() as i64);
         println!(
-            "{:>5}  {candidate:>6}  {azimuth:>6.0}°  {elevation:>8.0}°  {nearest_deg:>6.0}°  {lack:>18.2}",
+            "{:>5}  {candidate:>6}  {azimuth:>6}°  {elevation:>8}°  {nearest_deg:>6.0}°  {lack:>18.2}",
             place + 1
         );
     }
