@@ -65,12 +65,13 @@ fn frames_with_ground_have_only_the_requested_planes() {
 #[test]
 fn sun_casts_a_shadow_that_an_even_sky_does_not_cast() {
     let renderer = renderer();
-    let of = |map: EnvMap| rendered(&renderer, map, &above(SIZE), &PLANES, None);
+    // Below the floor, so that it casts a shadow as well.
+    let of = |map: EnvMap| rendered(&renderer, map, &above(SIZE), &PLANES, Some(2.99));
     let (sunny, even) = (of(sun()), of(EnvMap::constant(64, 32, [1.0; 3])));
     let darkest = |frame: &Frame| frame.planes[&Output::Shadow].iter().copied().fold(1.0, f32::min);
     assert!(darkest(&sunny) < 0.2, "{}", darkest(&sunny));
     assert!(darkest(&even) > 2.0 * darkest(&sunny), "{} {}", darkest(&even), darkest(&sunny));
-    assert!(mean(&even, Output::Contact) < 0.98, "the control: {}", mean(&even, Output::Contact));
+    assert!(mean(&even, Output::Contact) < 0.95, "the control: {}", mean(&even, Output::Contact));
     assert_eq!(
         sunny.planes[&Output::Contact],
         even.planes[&Output::Contact],

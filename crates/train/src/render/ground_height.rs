@@ -1,6 +1,9 @@
 //! The height of the ground below a model.
 
+use glam::{DQuat, DVec3};
+
 use crate::render::{Renderer, Turntable};
+use relume_scene::{Field, Gaussians};
 
 /// Views around the model from which the lowest visible point is found: their number, elevation in degrees, and side in pixels.
 const VIEWS: u32 = 12;
@@ -12,16 +15,24 @@ const MIN_COVERAGE: f32 = 0.9;
 const BELOW: f64 = 0.0005;
 /// Distance from the origin up to which points count, normalised world: the surroundings of a subject without masks do not.
 const REACH: f32 = 4.0;
+/// Least opacity of a Gaussian that counts, standard deviations to the edge that it shows, and share of the Gaussians that may lie below the
+/// ground by their opacity.
+const MIN_OPACITY: f64 = 0.5;
+const EDGE: f64 = 1.5;
+const GAUSSIANS_BELOW: f64 = 0.002;
 /// Height if nothing is visible, normalised world.
 const LOWEST: f64 = -1.0;
 
 impl Renderer {
-    /// Height of the ground, capture units: the lowest point that views around the model show. Gaussians that hang below a surface, where no
-    /// photograph saw them, do not count. Found once per renderer.
+    /// Height of the ground, capture units: the lowest point that views around the model show, and not below the edges of nearly all opaque
+    /// Gaussians. Gaussians that hang below a surface, where no photograph saw them, do not count. Found once per renderer.
     pub fn ground_height(&self) -> f64 {
         *self.ground.get_or_init(|| {
             let model = self.model();
-            lowest_visible(self).unwrap_or(LOWEST) / model.world_scale - model.world_offset.z
+            // A pixel has the depth of the centres of its Gaussians, which lets large ones appear too low.
+            let edge = lowest_edge(&model.gaussians).unwrap_or(f64::NEG_INFINITY);
+            let lowest = lowest_visible(self).map_or(LOWEST, |visible| visible.max(edge));
+            lowest / model.world_scale - model.world_offset.z
         })
     }
 
@@ -52,6 +63,34 @@ fn lowest_visible(renderer: &Renderer) -> Option<f64> {
     let (_, lowest, _) =
         heights.get(below).is_some().then(|| heights.select_nth_unstable_by(below, f32::total_cmp))?;
     Some(f64::from(*lowest))
+}
+
+/// The height below which few opaque Gaussians reach, normalised world; `None` if there are none.
+fn lowest_edge(g: &Gaussians) -> Option<f64> {
+    let edge = |i: usize| {
+        let opacity = 1.0 / (1.0 + (-f64::from(g.row(Field::OpacityLogit, i)[0])).exp());
+        let mean = DVec3::from_array(g.get::<3>(Field::Mean, i).map(f64::from));
+        let counts = g.is_photographed(i) && opacity >= MIN_OPACITY && mean.length() < f64::from(REACH);
+        counts.then(|| (mean.z - EDGE * vertical_deviation(g, i), opacity))
+    };
+    let mut edges: Vec<(f64, f64)> = (0..g.len()).filter_map(edge).collect();
+    edges.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let wanted = GAUSSIANS_BELOW * edges.iter().map(|(_, weight)| weight).sum::<f64>();
+    let mut sum = 0.0;
+    let reached = edges.iter().find(|(_, weight)| {
+        sum += weight;
+        sum >= wanted
+    });
+    reached.map(|(height, _)| *height)
+}
+
+/// Standard deviation of a Gaussian along z.
+fn vertical_deviation(g: &Gaussians, i: usize) -> f64 {
+    let [w, x, y, z] = g.get::<4>(Field::Quaternion, i).map(f64::from);
+    let turn = DQuat::from_xyzw(x, y, z, w);
+    let up = if turn.length_squared() > 0.0 { turn.normalize().inverse() * DVec3::Z } else { DVec3::Z };
+    let scales = DVec3::from_array(g.get::<3>(Field::LogScale, i).map(|s| f64::from(s).exp()));
+    (up * scales).length()
 }
 
 #[cfg(test)]
