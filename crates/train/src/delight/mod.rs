@@ -1,6 +1,7 @@
 //! Photographs without their light: albedo, shading, shadow and specular layers at the size of the photographs (docs/MODEL.md, section 11).
 //!
-//! A model knows what part of a photograph is light. Its albedo has the detail of its Gaussians alone; the photograph has its own detail.
+//! A model separates the light of a photograph from the colour of the surface. The Gaussians limit the detail of its albedo; the photograph
+//! has finer detail.
 //! [`Delighter`] renders the model's layers for the camera of a photograph, and transfers the detail of the photograph to the albedo.
 
 mod detail;
@@ -39,7 +40,8 @@ pub struct DelitPhotograph {
     pub model_albedo: Vec<[f32; 3]>,
     /// What a white diffuse surface would reflect at this point, as the model finds it.
     pub shading: Vec<[f32; 3]>,
-    /// Shading divided by that without occlusion. Above 1 where light from other surfaces exceeds the occluded light.
+    /// Shading divided by shading without occlusion and without light from other surfaces. Above 1 where the light from other surfaces
+    /// exceeds the occluded light.
     pub shadow: Vec<[f32; 3]>,
     /// Specular reflection.
     pub specular: Vec<[f32; 3]>,

@@ -82,7 +82,7 @@ fn nearest_deg(taken: &[DVec3], direction: DVec3) -> f64 {
     taken.iter().map(angle).fold(180.0, f64::min)
 }
 
-/// What candidates show: by candidate, Gaussians with their weight and the share of their footprint that is not hidden.
+/// The Gaussians that each candidate shows, with their blending weight and the share of their footprint that other Gaussians do not hide.
 struct Views {
     shown: Vec<Vec<(u32, f32, f32)>>,
 }
