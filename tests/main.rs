@@ -57,6 +57,7 @@ mod service_load;
 mod service_materials;
 mod service_memory;
 mod service_network;
+mod service_next_photographs;
 mod service_origins;
 mod service_photographs;
 mod service_poses;

@@ -1,14 +1,15 @@
 //! `relume delight`: separates the photographs of a capture into layers by a model.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
+use crate::cli::args::named;
 use crate::cli::error::CommandResult;
 use crate::cli::{input, model_capture, output};
 use relume_capture::CaptureView;
 use relume_engine::{Device, DeviceChoice};
-use relume_train::delight::{Delighter, LayerFormat};
+use relume_spec::rendering::LayerFormat;
+use relume_train::delight::{Delighter, file_stems, layer_path};
 
 /// Options of `relume delight`.
 #[derive(Debug, clap::Args)]
@@ -21,8 +22,8 @@ pub(super) struct DelightArgs {
     #[arg(long, value_name = "DIR", default_value = "layers")]
     out: PathBuf,
     /// Write a `.exr` with all layers in linear light for each photograph, or a folder of PNG files with the sRGB curve for each layer.
-    #[arg(long, value_enum, default_value_t)]
-    format: LayerFiles,
+    #[arg(long, value_name = "exr|png", default_value = "exr", value_parser = named::<LayerFormat>)]
+    format: LayerFormat,
     /// Only the photographs whose name contains this text.
     #[arg(long, value_name = "TEXT")]
     name: Option<String>,
@@ -37,14 +38,6 @@ pub(super) struct DelightArgs {
     device: DeviceChoice,
 }
 
-/// Files of the layers.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
-enum LayerFiles {
-    #[default]
-    Exr,
-    Png,
-}
-
 pub(super) fn run(args: &DelightArgs) -> CommandResult {
     let model = Arc::new(input::read_model(&args.model)?);
     if !model.has_materials() {
@@ -53,7 +46,7 @@ pub(super) fn run(args: &DelightArgs) -> CommandResult {
     let capture =
         model_capture::read(&args.capture, &model, args.resolution, args.light_rotations.as_deref())?;
     let views: Vec<&CaptureView> = capture.train.iter().chain(&capture.test).collect();
-    let stems = stems(&views);
+    let stems = file_stems(&views);
     let is_wanted = |view: &&CaptureView| args.name.as_ref().is_none_or(|text| view.name.contains(text));
     let wanted: Vec<&CaptureView> = views.into_iter().filter(is_wanted).collect();
     if wanted.is_empty() {
@@ -64,9 +57,8 @@ pub(super) fn run(args: &DelightArgs) -> CommandResult {
     for (index, view) in wanted.iter().enumerate() {
         let layers = delighter.delight(view)?;
         let stem = &stems[&view.name];
-        let format = if args.format == LayerFiles::Exr { LayerFormat::Exr } else { LayerFormat::Png };
         for (name, bytes) in layers.files(format)? {
-            output::write_named(&file(&args.out, name, stem, format), &bytes)?;
+            output::write_named(&args.out.join(layer_path(name, stem, format)), &bytes)?;
         }
         eprintln!("{}/{}  {}", index + 1, wanted.len(), view.name);
     }
@@ -80,27 +72,4 @@ fn count(photographs: usize) -> String {
     } else {
         format!("the layers of {photographs} photographs")
     }
-}
-
-/// The file of a layer; an empty name is that of a file with all layers.
-fn file(folder: &Path, layer: &str, stem: &str, format: LayerFormat) -> PathBuf {
-    folder.join(layer).join(format!("{stem}.{}", format.extension()))
-}
-
-/// File names without an ending, by the names of the photographs: without their ending where that is unique, and with `_` for other
-/// characters than letters, digits, `-` and `.`.
-fn stems(views: &[&CaptureView]) -> BTreeMap<String, String> {
-    let plain = |text: &str| -> String {
-        let kept = |c: char| if c.is_alphanumeric() || matches!(c, '-' | '.' | '_') { c } else { '_' };
-        text.chars().map(kept).collect()
-    };
-    let short = |name: &str| plain(name.rsplit_once('.').map_or(name, |(stem, _)| stem));
-    let mut uses: BTreeMap<String, usize> = BTreeMap::new();
-    views.iter().for_each(|view| *uses.entry(short(&view.name)).or_default() += 1);
-    let stem = |(index, view): (usize, &&CaptureView)| {
-        let short = short(&view.name);
-        let stem = if uses[&short] == 1 { short } else { format!("{}_{index}", plain(&view.name)) };
-        (view.name.clone(), stem)
-    };
-    views.iter().enumerate().map(stem).collect()
 }

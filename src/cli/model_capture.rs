@@ -4,9 +4,9 @@ use std::path::Path;
 
 use crate::cli::error::CommandResult;
 use crate::cli::light::read_rotations;
-use relume_capture::{Capture, ImportLimits, ImportOptions, import};
+use relume_capture::{Capture, ImportLimits, import};
 use relume_scene::Model;
-use relume_train::{colour_matrix_of_card, light_groups_of_card, turntable_of_card, up_of_card};
+use relume_train::{import_options_of_card, light_groups_of_card};
 
 /// Reads the capture at `path` in the world and with the colours of `model`. Prints its warnings.
 ///
@@ -18,14 +18,7 @@ pub(super) fn read(
     max_side: Option<u32>,
     light_rotations: Option<&Path>,
 ) -> CommandResult<Capture> {
-    let options = ImportOptions {
-        max_side,
-        limits: ImportLimits::default(),
-        up: up_of_card(&model.card)?,
-        turntable: turntable_of_card(&model.card)?,
-        colour_matrix: colour_matrix_of_card(&model.card)?,
-        ..ImportOptions::default()
-    };
+    let options = import_options_of_card(&model.card, max_side, ImportLimits::default())?;
     let mut capture = import(path, &options)?;
     if let Some(file) = light_rotations {
         capture.set_light_rotations(&read_rotations(file)?)?;

@@ -78,6 +78,7 @@ const TABLE: &[(Method, &str, Access)] = &[
     (Method::DELETE, "/v1/models/{id}", Needs(Submit)),
     (Method::GET, "/v1/models/{id}/materials", Needs(Read)),
     (Method::GET, "/v1/models/{id}/materials/{material}/mask", Needs(Read)),
+    (Method::POST, "/v1/models/{id}/next-photographs", Needs(Render)),
     (Method::PUT, "/v1/models/{id}/calibration", Needs(Submit)),
     (Method::DELETE, "/v1/models/{id}/calibration", Needs(Submit)),
     (Method::GET, "/v1/models/{id}/card", Needs(Read)),

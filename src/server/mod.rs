@@ -45,6 +45,7 @@ mod middleware;
 mod model_rewrite;
 mod models;
 mod negotiate;
+mod next_photographs;
 mod nul;
 mod opened_captures;
 mod origins;

@@ -64,13 +64,13 @@ async fn list_photographs(
     QueryString(query): QueryString<CamerasQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let capture = find(&app, &caller, &id).await?;
+    let capture = find(&app, &caller.tenant, &id).await?;
     let (convention, up) = (query.convention, query.world(&app, &caller.tenant).await?);
     let tag = etag(&digest(&capture, &format!("photographs|{WORLD_RULE}|{convention:?}|{up:?}")));
     let mut response = if matches_etag(&headers, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
     } else {
-        let opened = open(&app, &caller, &capture).await?;
+        let opened = open(&app, &caller.tenant, &capture).await?;
         let read = move || opened.photographs.cameras(up);
         let taken = app.decoders.run(&caller.tenant, read).await?.map_err(|error| unreadable(&error))?;
         let photograph = |camera| {
@@ -132,7 +132,7 @@ async fn get_photograph(
         return Err(Problem::invalid_field("query/width", "must be 16 to 4096"));
     }
     let options = PictureOptions { width: query.width, undistorted: query.undistorted };
-    let capture = find(&app, &caller, &id).await?;
+    let capture = find(&app, &caller.tenant, &id).await?;
     let digest = digest(&capture, &format!("{name}|{options:?}"));
     let tag = etag(&digest);
     let mut response = if matches_etag(&headers, &tag) {
@@ -169,7 +169,7 @@ impl PhotographRequest<'_> {
         if is_small && let Some(bytes) = app.thumbnails.get(id, self.digest).await {
             return Ok(bytes);
         }
-        let opened = open(app, self.caller, self.capture).await?;
+        let opened = open(app, &self.caller.tenant, self.capture).await?;
         if !opened.photographs.contains(self.name) {
             return Err(Problem::not_found("photograph", self.name));
         }
@@ -204,23 +204,35 @@ impl PhotographRequest<'_> {
 }
 
 /// A capture of the caller in the state `ready`.
-async fn find(app: &AppState, caller: &Caller, id: &CaptureId) -> Result<CaptureRecord, Problem> {
-    let found = app.store.capture(&caller.tenant, id).await?;
+async fn find(app: &AppState, tenant: &TenantId, id: &CaptureId) -> Result<CaptureRecord, Problem> {
+    let found = app.store.capture(tenant, id).await?;
     found.ok_or_else(|| Problem::not_found("capture", id.as_str()))
 }
 
 /// Opens a capture after its file is verified.
-async fn open(app: &AppState, caller: &Caller, capture: &CaptureRecord) -> Result<Arc<Opened>, Problem> {
+///
+/// # Errors
+/// 404 if the capture was deleted in the meantime.
+pub(super) async fn open(
+    app: &AppState,
+    tenant: &TenantId,
+    capture: &CaptureRecord,
+) -> Result<Arc<Opened>, Problem> {
+    verify(app, tenant, capture).await?;
+    app.opened.get(&capture.sha256, async || open_archive(app, tenant, capture).await).await
+}
+
+/// Verifies the file of a capture.
+///
+/// # Errors
+/// 404 if the capture was deleted in the meantime.
+pub(super) async fn verify(app: &AppState, tenant: &TenantId, capture: &CaptureRecord) -> Result<(), Problem> {
     match app.store.artifacts().verify(&capture.artifact, &capture.sha256).await {
-        // The capture was deleted in the meantime.
         Err(StoreError::Missing(_)) => {
-            find(app, caller, &capture.id).await?;
+            find(app, tenant, &capture.id).await?;
             Err(Problem::internal("the archive of a capture is missing"))
         }
-        sound => {
-            sound?;
-            app.opened.get(&capture.sha256, async || open_archive(app, &caller.tenant, capture).await).await
-        }
+        sound => Ok(sound?),
     }
 }
 
@@ -233,7 +245,7 @@ async fn open_archive(app: &AppState, tenant: &TenantId, capture: &CaptureRecord
 }
 
 /// The problem of a stored capture that cannot be read, although it was valid when it was stored.
-fn unreadable(error: &CaptureError) -> Problem {
+pub(super) fn unreadable(error: &CaptureError) -> Problem {
     if error.is_users_fault() { Problem::internal(error) } else { Problem::storage_failed(error) }
 }
 

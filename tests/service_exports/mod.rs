@@ -1,6 +1,7 @@
 //! Exports over HTTP: their files equal those of the command line, and they are completed despite
 //! interruptions.
 
+mod delight;
 mod light_matrix;
 mod requests;
 mod worlds;

@@ -81,6 +81,7 @@ const OPERATIONS: &[(&str, &str, About, Scope)] = &[
     ("delete", "/v1/models/{id}", One(Model), Submit),
     ("get", "/v1/models/{id}/materials", One(Model), Read),
     ("get", "/v1/models/{id}/materials/{material}/mask", One(Model), Read),
+    ("post", "/v1/models/{id}/next-photographs", One(Model), Render),
     ("put", "/v1/models/{id}/calibration", One(Model), Submit),
     ("delete", "/v1/models/{id}/calibration", One(Model), Submit),
     ("get", "/v1/models/{id}/card", One(Model), Read),

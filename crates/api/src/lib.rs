@@ -13,6 +13,7 @@ pub mod materials;
 pub mod metadata;
 pub mod models;
 mod nerfstudio_world;
+pub mod next_photographs;
 mod page;
 pub mod photographs;
 pub mod problem;

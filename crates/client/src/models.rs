@@ -13,6 +13,7 @@ use relume_api::calibration::NewCalibration;
 use relume_api::materials::MaterialView;
 use relume_api::metadata::MetadataChange;
 use relume_api::models::{ModelSummary, ModelView};
+use relume_api::next_photographs::{NextPhotographs, NextPhotographsRequest};
 use relume_api::renders::RenderRequest;
 use relume_api::{List, ModelId};
 use relume_spec::rendering::FrameFormat;
@@ -56,6 +57,19 @@ impl Client {
     /// [`crate::ClientError`]: the server refused the request, or it failed.
     pub async fn materials(&self, id: &ModelId) -> Result<List<MaterialView>> {
         json(self.request(Method::GET, &format!("/v1/models/{id}/materials"))?).await
+    }
+
+    /// The places from which further photographs would help a model most.
+    ///
+    /// # Errors
+    /// [`crate::ClientError`]: the server refused the request, or it failed.
+    pub async fn next_photographs(
+        &self,
+        id: &ModelId,
+        request: &NextPhotographsRequest,
+    ) -> Result<NextPhotographs> {
+        let path = format!("/v1/models/{id}/next-photographs");
+        json(self.request(Method::POST, &path)?.json(request)).await
     }
 
     /// The newest models.

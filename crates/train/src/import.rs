@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::TrainError;
 use crate::memory::{self, MemoryBudget, PhotographSizes};
 use relume_capture::{
-    Capture, ColourMatrix, ImportLimits, ImportOptions, UndecodedCapture, Up, measure_colour_chart,
+    Capture, CaptureError, ColourMatrix, ImportLimits, ImportOptions, UndecodedCapture, Up, measure_colour_chart,
 };
 use relume_spec::training::{TrainConfig, TurntableCapture};
 use serde::Deserialize;
@@ -79,10 +79,40 @@ pub fn turntable_of_card(card: &Value) -> Result<TurntableCapture, TrainError> {
     Ok(setting.unwrap_or(TurntableCapture::No))
 }
 
+/// Options that import the capture of the model of this card as its training did: in its world and with its colours. `max_side` limits the
+/// longest side of the photographs, pixels; `None` keeps their size.
+///
+/// # Errors
+/// [`TrainError::Invalid`] if the card has invalid settings.
+pub fn import_options_of_card(
+    card: &Value,
+    max_side: Option<u32>,
+    limits: ImportLimits,
+) -> Result<ImportOptions, TrainError> {
+    Ok(ImportOptions {
+        max_side,
+        limits,
+        up: up_of_card(card)?,
+        turntable: turntable_of_card(card)?,
+        colour_matrix: colour_matrix_of_card(card)?,
+        ..ImportOptions::default()
+    })
+}
+
 /// Patterns of the light groups with which the model of this card was trained, by name.
 pub fn light_groups_of_card(card: &Value) -> BTreeMap<String, String> {
     let groups = card.pointer("/config/light_groups").map(BTreeMap::deserialize);
     groups.and_then(Result::ok).unwrap_or_default()
+}
+
+/// Gives the photographs of a model's own capture the light rotations and light groups with which it was trained.
+///
+/// # Errors
+/// [`CaptureError`] if the capture has other photographs.
+pub fn light_like_card(capture: &mut Capture, card: &Value) -> Result<(), CaptureError> {
+    let rotations = card.pointer("/config/light_rotation_per_photo").map(BTreeMap::deserialize);
+    capture.set_light_rotations(&rotations.and_then(Result::ok).unwrap_or_default())?;
+    capture.set_light_groups(&light_groups_of_card(card))
 }
 
 /// The matrix with which a capture is imported for a comparison with a model of this card, so that its photographs have the colours of the

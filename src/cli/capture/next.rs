@@ -7,18 +7,13 @@ use serde_json::json;
 use crate::camera_path::path_views;
 use crate::cli::error::CommandResult;
 use crate::cli::{input, output};
-use relume_scene::{Camera, Model, PhotographedViews};
-use relume_train::render::orbit_camera;
-use relume_train::trust::{NextPhotograph, NextPhotographError, next_photographs};
+use relume_scene::{Camera, Model};
+use relume_train::trust::{
+    MAX_CANDIDATES, NextPhotograph, NextPhotographError, next_photographs, places_around,
+};
 use relume_train::up_of_card;
 
-/// Azimuths of the proposed places, on each of these elevations above the horizon, degrees. Places below the horizon are proposed only
-/// between photographs from below it.
-const AZIMUTHS: u32 = 24;
-const ELEVATIONS_DEG: [f64; 6] = [-15.0, 0.0, 15.0, 30.0, 50.0, 70.0];
-/// Greatest number of cameras among which places are chosen.
-const MAX_CANDIDATES: usize = 2000;
-/// Width and height of the cameras in the file, pixels.
+/// Width and height of cameras without a size, pixels.
 const SIDE: u32 = 512;
 
 /// Options of `relume capture next`.
@@ -40,20 +35,17 @@ pub(super) struct NextArgs {
 pub(super) fn run(args: &NextArgs) -> CommandResult {
     let model = input::read_model(&args.model)?;
     let named = |error: NextPhotographError| format!("{}: {error}", args.model.display());
-    let photographed = PhotographedViews::of_card(&model.card);
-    let photographed = photographed.ok_or_else(|| named(NextPhotographError::NoSubject))?;
     let candidates = match &args.among {
         Some(file) => cameras_of(file, &model)?,
-        None => grid(&model, &photographed)?,
+        None => places_around(&model)?,
     };
     let next = next_photographs(&model, &candidates, args.count as usize).map_err(named)?;
     println!("place  camera  azimuth  elevation  nearest  lack of confidence");
-    for (place, NextPhotograph { candidate, lack, nearest_deg }) in next.iter().enumerate() {
-        let towards = (candidates[*candidate].centre() - photographed.target).normalize_or_zero();
-        let azimuth = (towards.y.atan2(towards.x).to_degrees() - photographed.azimuth_deg).rem_euclid(360.0);
+    for (place, next) in next.iter().enumerate() {
+        let NextPhotograph { candidate, lack, nearest_deg, .. } = next;
         // Whole numbers have no negative zero.
         let [azimuth, elevation] =
-            [azimuth, towards.z.clamp(-1.0, 1.0).asin().to_degrees()].map(|degrees| degrees.round() as i64);
+            [next.azimuth_deg, next.elevation_deg].map(|degrees| degrees.round() as i64);
         println!(
             "{:>5}  {candidate:>6}  {azimuth:>6}°  {elevation:>8}°  {nearest_deg:>6.0}°  {lack:>18.2}",
             place + 1
@@ -68,18 +60,6 @@ pub(super) fn run(args: &NextArgs) -> CommandResult {
         eprintln!("wrote {}", file.display());
     }
     Ok(())
-}
-
-/// Cameras around the subject, at the distance of the photographs.
-fn grid(model: &Model, photographed: &PhotographedViews) -> CommandResult<Vec<Camera>> {
-    let lowest = photographed.photographs.iter().map(|p| p.elevation_deg).fold(0.0, f64::min);
-    let mut cameras = Vec::new();
-    for elevation in ELEVATIONS_DEG.into_iter().filter(|elevation| *elevation >= lowest) {
-        for azimuth in (0..AZIMUTHS).map(|i| 360.0 * f64::from(i) / f64::from(AZIMUTHS)) {
-            cameras.push(orbit_camera(model, Some(azimuth), Some(elevation), (SIDE, SIDE))?);
-        }
-    }
-    Ok(cameras)
 }
 
 fn cameras_of(file: &std::path::Path, model: &Model) -> CommandResult<Vec<Camera>> {

@@ -7,7 +7,7 @@ use tracing::Instrument;
 
 use crate::server::app::AppState;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
-use crate::server::exports::{frames, light_matrix, splats};
+use crate::server::exports::{delight, frames, light_matrix, splats};
 use crate::store::{ClaimedExport, ExportedFile, StoreError};
 use relume_api::ExportId;
 use relume_api::exports::NewExport;
@@ -132,5 +132,6 @@ async fn make(
         NewExport::Splats(spec) => splats::make(app, &export.record, spec, token).await,
         NewExport::Mesh(spec) => splats::make_mesh(app, &export.record, spec, token).await,
         NewExport::LightMatrix(spec) => light_matrix::make(app, &export.record, spec, token).await,
+        NewExport::Delight(spec) => delight::make(app, &export.record, spec, token).await,
     }
 }

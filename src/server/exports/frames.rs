@@ -10,10 +10,11 @@ use tokio_util::sync::CancellationToken;
 use crate::server::app::AppState;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
 use crate::server::exports::plan::FramesPlan;
+use crate::server::exports::work_folder::keep_only_files_of;
 use crate::server::exports::{model, splats, video, zip};
 use crate::server::memory::export_bytes;
 use crate::server::{models, renders};
-use crate::store::{ExportRecord, ExportedFile, make_private};
+use crate::store::{ExportRecord, ExportedFile};
 use crate::worker::{ModelSource, RenderTask};
 use relume_api::TenantId;
 use relume_api::exports::{FramesExport, Package};
@@ -21,8 +22,6 @@ use relume_scene::Model;
 use relume_spec::rendering::{Background, FrameFormat};
 use relume_train::render::{EncodeOptions, FrameView, Viewpoint};
 
-/// File in the work folder with the hash of the model that the frames show.
-const MODEL_NOTE: &str = "model";
 /// Frames per second of a video without a given rate.
 const FPS: u32 = 24;
 
@@ -40,7 +39,7 @@ pub(super) async fn make(
     let views = views(app, &plan, &export.tenant, &source).await?;
     let folder = app.store.export_folder(&export.id);
     let at = folder.clone();
-    run_blocking(move || Ok(keep_only_frames_of(&at, &sha256)?)).await?;
+    run_blocking(move || Ok(keep_only_files_of(&at, &sha256)?)).await?;
     let (mut names, mut bytes) = (Vec::with_capacity(views.len()), 0);
     for (index, view) in views.iter().enumerate() {
         let name = frame_name(index, plan.format);
@@ -64,19 +63,6 @@ pub(super) async fn make(
     // The disk contains both for a while; the quota of the tenant counts only one of them.
     app.store.admit_bytes(bytes).await?;
     package(app, export, spec, &folder, names, token).await
-}
-
-/// Creates the work folder. Frames of a model that was replaced since are removed from it.
-pub(super) fn keep_only_frames_of(folder: &Path, sha256: &str) -> std::io::Result<()> {
-    let note = folder.join(MODEL_NOTE);
-    if std::fs::read_to_string(&note).is_ok_and(|noted| noted == sha256) {
-        return Ok(());
-    }
-    match std::fs::remove_dir_all(folder) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error),
-        _ => make_private(folder)?,
-    }
-    std::fs::write(note, sha256)
 }
 
 /// File name of the frame with index `index`, from 0.

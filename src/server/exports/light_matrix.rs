@@ -1,8 +1,7 @@
 //! Exports of light matrices: a multi-part EXR for each camera, written strip by strip into the work folder. Finished files stay there,
 //! so that the next server can continue after a stop.
 
-use std::io::BufWriter;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -10,8 +9,11 @@ use tokio_util::sync::CancellationToken;
 
 use crate::server::app::AppState;
 use crate::server::exports::export_error::ExportError;
-use crate::server::exports::frames::{frame_name, keep_only_frames_of, run_blocking};
+use crate::server::exports::frames::{frame_name, run_blocking};
 use crate::server::exports::light::light;
+use crate::server::exports::work_folder::{
+    bytes_there, keep_only_files_of, record, remove_parts, write_whole,
+};
 use crate::server::exports::{model, plan, splats, zip};
 use crate::server::memory::light_matrix_bytes;
 use crate::server::models;
@@ -31,8 +33,6 @@ use relume_train::render::{FrameMetadata, MatrixLights, RenderError, Renderer};
 const MAX_LOBE_PIXELS: u64 = 1 << 28;
 /// Maximum number of lobes times pixels of all cameras together.
 const MAX_LOBE_PIXELS_OF_ALL: u64 = 1 << 32;
-/// End of the names of files that are being written.
-const PART: &str = ".part";
 /// Time after which work on a camera path lets other files use its thread.
 const SLICE: Duration = Duration::from_secs(30);
 
@@ -111,11 +111,11 @@ impl MatrixPlan {
         let renderer = Renderer::new(model.into());
         let lights = renderer.matrix_lights(&LightLobes::new(self.lobes), suns);
         for (index, camera) in self.cameras.iter().enumerate() {
-            let path = folder.join(file_name(index));
-            if path.exists() {
+            let file = PathBuf::from(file_name(index));
+            if folder.join(&file).exists() {
                 continue;
             }
-            self.write_one((&renderer, camera), &lights, name, &path, token)?;
+            self.write_one((&renderer, camera), &lights, name, (folder, &file), token)?;
             if start.elapsed() > SLICE {
                 return Ok(index + 1);
             }
@@ -123,14 +123,12 @@ impl MatrixPlan {
         Ok(self.cameras.len())
     }
 
-    /// Writes the file of a camera atomically. The temporary file has a name of its own, because work on an earlier attempt may still
-    /// be ending.
     fn write_one(
         &self,
         (renderer, camera): (&Renderer, &Camera),
         lights: &MatrixLights,
         name: &str,
-        path: &Path,
+        (folder, file): (&Path, &Path),
         token: &CancellationToken,
     ) -> Result<(), ExportError> {
         let metadata = FrameMetadata {
@@ -141,14 +139,13 @@ impl MatrixPlan {
         };
         let refused = |error: RenderError| ExportError::failed(error.to_string());
         let frames = renderer.light_matrix(camera, lights).map_err(refused)?;
-        let folder = path.parent().unwrap_or_else(|| Path::new("."));
-        let part = tempfile::Builder::new().suffix(PART).tempfile_in(folder)?;
-        let mut file = BufWriter::with_capacity(1 << 20, part);
-        frames.write(&mut file, self.depth, &metadata, &|_| !token.is_cancelled()).map_err(failed)?;
-        let part = file.into_inner().map_err(std::io::IntoInnerError::into_error)?;
-        part.as_file().sync_all()?;
-        part.persist(path).map_err(std::io::Error::from)?;
-        Ok(())
+        write_whole(folder, file, |file| {
+            frames.write(file, self.depth, &metadata, &|_| !token.is_cancelled()).map_err(failed)
+        })
+    }
+
+    fn files(&self) -> Vec<PathBuf> {
+        (0..self.cameras.len()).map(|index| file_name(index).into()).collect()
     }
 }
 
@@ -165,13 +162,14 @@ pub(super) async fn make(
     let folder = app.store.export_folder(&export.id);
     let at = folder.clone();
     let clean = move || {
-        keep_only_frames_of(&at, &sha256)?;
+        keep_only_files_of(&at, &sha256)?;
         Ok(remove_parts(&at)?)
     };
     run_blocking(clean).await?;
     let width = plan.cameras.iter().map(|camera| camera.width).max().unwrap_or(0);
     let bytes_of = |size| light_matrix_bytes(size, spec.lobes, width);
-    let mut recorded = bytes_there(&folder, plan.cameras()).await;
+    let files = plan.files();
+    let mut recorded = bytes_there(&folder, &files).await;
     loop {
         app.store.admit_bytes(plan.most_bytes()).await?;
         let (plan, at, name, token) =
@@ -180,7 +178,9 @@ pub(super) async fn make(
         let work = move |model| plan.write(model, &name, &at, &token);
         let threads = &app.exports.file_threads;
         let done = splats::with_model(app, threads, &export.tenant, (&source, &bytes_of), work).await?;
-        recorded = record(app, export, &folder, done, recorded).await?;
+        let bytes = bytes_there(&folder, &files[..done]).await;
+        record(app, export, done, bytes, recorded).await?;
+        recorded = bytes;
         if done == cameras {
             break;
         }
@@ -197,43 +197,6 @@ pub(super) async fn make(
         (path.clone(), (0..plan.cameras()).map(file_name).collect::<Vec<_>>(), token.clone());
     run_blocking(move || Ok(zip::pack(&folder, &names, &to, &|| !token.is_cancelled())?)).await?;
     Ok(ExportedFile { path, name: format!("{model}-light-matrix.zip"), content_type: "application/zip" })
-}
-
-/// Removes the unfinished files of an earlier attempt.
-fn remove_parts(folder: &Path) -> std::io::Result<()> {
-    for entry in std::fs::read_dir(folder)? {
-        let entry = entry?;
-        if entry.file_name().to_string_lossy().ends_with(PART) {
-            std::fs::remove_file(entry.path())?;
-        }
-    }
-    Ok(())
-}
-
-/// Records that the first `done` files are complete, of which `before` bytes were recorded. Returns their bytes.
-async fn record(
-    app: &AppState,
-    export: &ExportRecord,
-    folder: &Path,
-    done: usize,
-    before: u64,
-) -> Result<u64, ExportError> {
-    let bytes = bytes_there(folder, done).await;
-    app.store.admit_bytes_of(&export.tenant, bytes.saturating_sub(before)).await?;
-    let done = i64::try_from(done).unwrap_or(i64::MAX);
-    match app.store.record_export_progress(&export.id, done, bytes).await? {
-        true => Ok(bytes),
-        false => Err(ExportError::Unwanted),
-    }
-}
-
-/// Bytes of those of the first `count` files that exist.
-async fn bytes_there(folder: &Path, count: usize) -> u64 {
-    let mut bytes = 0;
-    for index in 0..count {
-        bytes += tokio::fs::metadata(folder.join(file_name(index))).await.map_or(0, |found| found.len());
-    }
-    bytes
 }
 
 /// The cameras of a request.

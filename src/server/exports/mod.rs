@@ -3,6 +3,7 @@
 //! `routes.rs` checks and queues them. `exporter.rs` is the task that makes them: frames one at a time, with a lower priority
 //! than frames of other requests; other files concurrently, also one at a time.
 
+mod delight;
 mod export_error;
 mod exporter;
 mod frames;
@@ -15,9 +16,11 @@ mod request;
 mod routes;
 mod splats;
 mod video;
+mod work_folder;
 mod zip;
 
 pub(super) use exporter::work;
 pub use queue::ExportPolicy;
+pub(super) use plan::path;
 pub(super) use queue::ExportQueue;
 pub(super) use routes::routes;

@@ -173,7 +173,7 @@ fn turntable(spec: &TurntableSpec, size: (u32, u32)) -> Result<Turntable, Proble
 ///
 /// # Errors
 /// 422, which names the field of `path` or `path_world`.
-pub(super) fn path(
+pub(in crate::server) fn path(
     (json, world): (&Value, Option<&NerfstudioWorld>),
     size: Option<(u32, u32)>,
     up: Up,

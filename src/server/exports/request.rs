@@ -3,11 +3,13 @@
 use serde_json::Value;
 
 use crate::server::app::AppState;
+use crate::server::exports::delight;
 use crate::server::exports::light::light;
 use crate::server::exports::light_matrix::MatrixPlan;
 use crate::server::exports::plan::FramesPlan;
 use crate::server::extract;
 use crate::server::problem::Problem;
+use crate::store::ModelRecord;
 use relume_api::TenantId;
 use relume_api::exports::{NewExport, SplatsExport};
 use relume_capture::Up;
@@ -23,17 +25,24 @@ pub(super) fn read(body: Value) -> Result<NewExport, Problem> {
         Some("gltf" | "usd" | "usdz" | "ply") => extract::read(body).map(NewExport::Splats),
         Some("mesh") => extract::read(body).map(NewExport::Mesh),
         Some("light_matrix") => extract::read(body).map(Box::new).map(NewExport::LightMatrix),
-        _ => {
-            Err(Problem::invalid_field("/kind", "must be frames, gltf, usd, usdz, ply, mesh or light_matrix"))
-        }
+        Some("delight") => extract::read(body).map(NewExport::Delight),
+        _ => Err(Problem::invalid_field(
+            "/kind",
+            "must be frames, gltf, usd, usdz, ply, mesh, light_matrix or delight",
+        )),
     }
 }
 
-/// Checks that an export can be made. Returns its number of steps.
+/// Checks that an export of a model can be made. Returns its number of steps.
 ///
 /// # Errors
-/// 422, which names the field.
-pub(super) async fn check(app: &AppState, tenant: &TenantId, export: &NewExport) -> Result<i64, Problem> {
+/// 422, which names the field; 409 if the capture that the export needs was deleted.
+pub(super) async fn check(
+    app: &AppState,
+    tenant: &TenantId,
+    model: &ModelRecord,
+    export: &NewExport,
+) -> Result<i64, Problem> {
     match export {
         NewExport::Frames(frames) => {
             // The number of frames does not depend on the world of the model.
@@ -67,6 +76,7 @@ pub(super) async fn check(app: &AppState, tenant: &TenantId, export: &NewExport)
             let plan = MatrixPlan::of(app, tenant, matrix, Up::AUTO).await?;
             Ok(i64::try_from(plan.cameras()).unwrap_or(i64::MAX))
         }
+        NewExport::Delight(spec) => delight::check(app, tenant, model, spec).await,
     }
 }
 

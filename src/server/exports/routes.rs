@@ -40,8 +40,9 @@ pub(in crate::server) fn routes() -> OpenApiRouter<AppState> {
 /// Queue an export
 ///
 /// `kind` selects the result: `frames` (a zip of images, or an mp4 made with ffmpeg), `gltf`, `usd`, `usdz`,
-/// `ply`, `mesh` (a `.glb` with a textured triangle mesh), or `light_matrix` (a multi-part EXR with a frame for
-/// each lobe of light). Options and output bytes are the same as those of `relume render` and `relume export`.
+/// `ply`, `mesh` (a `.glb` with a textured triangle mesh), `light_matrix` (a multi-part EXR with a frame for
+/// each lobe of light), or `delight` (a zip with the layers of the photographs). Options and output bytes are the same as those of
+/// `relume render`, `relume export` and `relume delight`.
 ///
 /// The server renders the frames of an export one at a time while no other request waits for a frame. After a
 /// restart it continues with the completed frames. The header `Idempotency-Key` has the same meaning as for
@@ -54,7 +55,9 @@ pub(in crate::server) fn routes() -> OpenApiRouter<AppState> {
     ),
     responses(
         (status = 202, body = ExportView),
-        (status = 404, body = Problem), (status = 413, body = Problem),
+        (status = 404, body = Problem),
+        (status = 409, body = Problem, description = "The capture of the model was deleted, which `delight` needs"),
+        (status = 413, body = Problem),
         (status = 422, body = Problem, description = "A field is invalid, or the idempotency key was used with another body"),
         (status = 429, body = Problem, description = "The tenant has the maximum number of queued and running exports")
     )
@@ -75,9 +78,9 @@ async fn create_export(
         return idempotency::accepted(answer, true, EXPORTS);
     }
     let missing = || Problem::not_found("model", model.as_str());
-    app.store.model(&caller.tenant, &model).await?.ok_or_else(missing)?;
+    let record = app.store.model(&caller.tenant, &model).await?.ok_or_else(missing)?;
     materials::check(&app, &caller.tenant, &model, request.materials()).await?;
-    let total = request::check(&app, &caller.tenant, &request).await?;
+    let total = request::check(&app, &caller.tenant, &record, &request).await?;
     app.store.admit_bytes_of(&caller.tenant, 0).await?;
     let id = app.jobs.fresh_id();
     let export = ExportRecord::queued(caller.tenant.clone(), id, model, (&request, total), now_ms);

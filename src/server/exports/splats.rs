@@ -128,7 +128,11 @@ fn refused(error: SplatFileError) -> ExportError {
 /// The encoder of a kind, its extension and its media type.
 fn file_of(kind: ExportKind) -> (SplatFile, &'static str, &'static str) {
     match kind {
-        ExportKind::Gltf | ExportKind::Mesh | ExportKind::Frames | ExportKind::LightMatrix => {
+        ExportKind::Gltf
+        | ExportKind::Mesh
+        | ExportKind::Frames
+        | ExportKind::LightMatrix
+        | ExportKind::Delight => {
             (SplatFile::Glb, "glb", "model/gltf-binary")
         }
         ExportKind::Usd => (SplatFile::Usda, "usda", "model/vnd.usda"),

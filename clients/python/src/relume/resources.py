@@ -21,7 +21,7 @@ from relume.http import Connection
 Preset = Literal["draft", "standard", "high"]
 Tier = Literal["preview", "standard", "high", "monte_carlo"]
 _ENDED = ("succeeded", "rejected", "failed", "cancelled")
-ExportKind = Literal["frames", "gltf", "usd", "usdz", "ply", "mesh", "light_matrix"]
+ExportKind = Literal["frames", "gltf", "usd", "usdz", "ply", "mesh", "light_matrix", "delight"]
 
 
 class Resource:
@@ -251,6 +251,15 @@ class Model(Resource):
         params: dict[str, Any] = {"size": size, **{name: value for name, value in angles.items() if value is not None}}
         return self._connection.send("GET", self._at(f"/materials/{material}/mask"), params=params).content
 
+    def next_photographs(self, count: int = 10, *, path: dict[str, Any] | None = None) -> dict[str, Any]:
+        """The places from which further photographs would help most: `cameras`, the most helpful first.
+
+        Each has `camera`, `width`, `height`, `azimuth_deg`, `elevation_deg`, `nearest_deg` and `lack_of_confidence`. `path` has the cameras
+        among which to choose; by default a grid around the subject. An export of frames accepts the result as its `path`.
+        """
+        wanted = {"count": count, **({} if path is None else {"path": path})}
+        return dict(self._connection.json("POST", self._at("/next-photographs"), json=wanted))
+
     def render(
         self,
         camera: Camera,
@@ -335,7 +344,7 @@ class Model(Resource):
     ) -> Export:
         """Has the server make a file of the model; once, also when the answer is lost on the way.
 
-        `options` are those of the kind (openapi.json: FramesExport, SplatsExport, MeshExport, LightMatrixExport), e.g.
+        `options` are those of the kind (openapi.json: FramesExport, SplatsExport, MeshExport, LightMatrixExport, DelightExport), e.g.
         `model.export("frames", "sunset", turntable={"frames": 120}, package="mp4")` or `model.export("ply", layer="albedo")`.
         """
         wanted: dict[str, Any] = {"kind": kind, **options}

@@ -3,6 +3,7 @@
 //!
 //! The database stores [`NewExport`] and [`ExportState`] of each export.
 
+mod delight;
 mod splats;
 
 use serde::{Deserialize, Serialize};
@@ -17,9 +18,10 @@ use relume_spec::rendering::{
     AlphaMode, Background, ColourDepth, FrameFormat, Lamp, MaterialEdit, Output, Primaries, Tier, ToneCurve,
 };
 
+pub use delight::{DelightExport, DelightKind};
 pub use splats::{SplatsExport, SplatsKind};
 
-/// An export to create. `kind` selects one of the four forms.
+/// An export to create. `kind` selects one of the five forms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(untagged)]
 pub enum NewExport {
@@ -31,6 +33,8 @@ pub enum NewExport {
     Mesh(MeshExport),
     /// A light matrix.
     LightMatrix(Box<LightMatrixExport>),
+    /// Photographs without their light.
+    Delight(DelightExport),
 }
 
 impl NewExport {
@@ -46,6 +50,7 @@ impl NewExport {
             },
             Self::Mesh(_) => ExportKind::Mesh,
             Self::LightMatrix(_) => ExportKind::LightMatrix,
+            Self::Delight(_) => ExportKind::Delight,
         }
     }
 
@@ -56,6 +61,7 @@ impl NewExport {
             Self::Splats(splats) => &splats.materials,
             Self::Mesh(mesh) => &mesh.materials,
             Self::LightMatrix(matrix) => &matrix.materials,
+            Self::Delight(_) => &[],
         }
     }
 }
@@ -64,7 +70,8 @@ impl NewExport {
 ///
 /// `frames`: a sequence of frames as a zip or a video. `gltf`: glTF with KHR_gaussian_splatting, `.glb`.
 /// `usd`: OpenUSD as text, `.usda`. `usdz`: an OpenUSD package, `.usdz`. `ply`: PLY. `mesh`: a textured
-/// triangle mesh, `.glb`. `light_matrix`: a frame for each lobe of light, multi-part `.exr`.
+/// triangle mesh, `.glb`. `light_matrix`: a frame for each lobe of light, multi-part `.exr`. `delight`:
+/// photographs without their light, a zip of images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(feature = "sqlx", derive(sqlx::Type), sqlx(type_name = "text", rename_all = "snake_case"))]
 #[serde(rename_all = "snake_case")]
@@ -83,6 +90,8 @@ pub enum ExportKind {
     Mesh,
     /// A frame for each lobe of light, multi-part `.exr`.
     LightMatrix,
+    /// Photographs without their light, a zip of images.
+    Delight,
 }
 
 impl ExportKind {
@@ -96,6 +105,7 @@ impl ExportKind {
             Self::Ply => "ply",
             Self::Mesh => "mesh",
             Self::LightMatrix => "light_matrix",
+            Self::Delight => "delight",
         }
     }
 }
@@ -382,9 +392,9 @@ impl ExportState {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[cfg_attr(feature = "sqlx", derive(sqlx::FromRow))]
 pub struct ExportProgress {
-    /// Completed frames. Other kinds: 0, or 1 after success.
+    /// Completed frames or photographs. Other kinds: 0, or 1 after success.
     pub done: i64,
-    /// Total number of frames. Other kinds: 1.
+    /// Total number of frames or photographs. Other kinds: 1.
     pub total: i64,
 }
 

@@ -18,7 +18,7 @@ use relume_scene::{IndirectForm, Model, VisibilityForm};
 use relume_spec::rendering::{Output, Tier};
 
 pub use detail::DetailTransfer;
-pub use files::LayerFormat;
+pub use files::{file_stems, layer_path, layers_of};
 
 /// Share of a diffuse surface below which shading cannot be divided by it: metal and black.
 const MIN_REFLECTANCE: f32 = 0.02;

@@ -2,13 +2,15 @@
 
 mod evidence;
 mod next;
+mod places;
 
 use crate::context::StepContext;
 use crate::dataset::Dataset;
 use evidence::Evidence;
 use relume_engine::TrainState;
 
-pub use next::{NextPhotograph, NextPhotographError, next_photographs};
+pub use next::{MAX_CANDIDATES, NextPhotograph, NextPhotographError, next_photographs};
+pub use places::places_around;
 
 /// Logarithm of the error of relit pictures where the photographs agree and nothing occludes, its increase with the square root of the
 /// residual, and its decrease with openness: a least-squares fit to six path-traced scenes.

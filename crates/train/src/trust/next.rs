@@ -7,6 +7,8 @@ use crate::exposure::reduced_camera;
 use relume_engine::{TrainState, evaluation};
 use relume_scene::{Camera, Field, Model, PhotographedViews, direction_of};
 
+/// Greatest number of cameras among which places are chosen.
+pub const MAX_CANDIDATES: usize = 2000;
 /// Longest side of the views that are compared, pixels.
 const SIDE: u32 = 128;
 /// Angle to the nearest photograph from which a place counts fully, degrees.
@@ -25,6 +27,10 @@ pub struct NextPhotograph {
     pub lack: f64,
     /// Angle to the nearest photograph or place before it, seen from the subject, degrees.
     pub nearest_deg: f64,
+    /// Degrees counter-clockwise from the first photograph, seen from above, 0 to 360.
+    pub azimuth_deg: f64,
+    /// Degrees above the horizon, -90 to 90.
+    pub elevation_deg: f64,
 }
 
 /// Why places cannot be compared.
@@ -63,6 +69,8 @@ pub fn next_photographs(
             candidate: index,
             lack: views.mean(index, &lack),
             nearest_deg: nearest_deg(&taken, directions[index]),
+            azimuth_deg: azimuth_deg(directions[index], photographed.azimuth_deg),
+            elevation_deg: directions[index].z.clamp(-1.0, 1.0).asin().to_degrees(),
         });
         let score = |next: &NextPhotograph| next.lack * next.nearest_deg.min(FULL_ANGLE_DEG);
         let Some(best) = places.reduce(|a, b| if score(&b) > score(&a) { b } else { a }) else { break };
@@ -71,6 +79,11 @@ pub fn next_photographs(
         chosen.push(best);
     }
     Ok(chosen)
+}
+
+/// Azimuth of a direction, degrees counter-clockwise from `from_deg`, 0 to 360.
+fn azimuth_deg(direction: DVec3, from_deg: f64) -> f64 {
+    (direction.y.atan2(direction.x).to_degrees() - from_deg).rem_euclid(360.0)
 }
 
 fn nearest_deg(taken: &[DVec3], direction: DVec3) -> f64 {
@@ -156,6 +169,7 @@ mod tests {
         let order: Vec<usize> = next.iter().map(|next| next.candidate).collect();
         assert_eq!((order[0], order.len()), (1, 4), "{next:?}");
         assert!(next[0].lack > 0.6 && next[1].lack < 0.3, "{next:?}");
+        assert!((next[0].azimuth_deg - 90.0).abs() < 1e-9 && next[0].elevation_deg.abs() < 1e-9, "{next:?}");
         let mut even = model(&all);
         even.gaussians.set_confidence(vec![0.5; 4]);
         let first = next_photographs(&even, &candidates, 1).unwrap()[0];
