@@ -19,6 +19,7 @@ mod table;
 mod time_curve;
 mod tradeoff;
 mod training;
+mod training_profile;
 mod visibility;
 
 use crate::cli::error::CommandResult;

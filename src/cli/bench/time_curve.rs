@@ -6,23 +6,24 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::cli::args::named;
+use crate::cli::args::{named, overrides};
 use crate::cli::bench::input::file_name;
 use crate::cli::bench::plot::{self, Panel, Series};
 use crate::cli::bench::table::{head, machine, row};
+use crate::cli::bench::training_profile;
 use crate::cli::error::CommandResult;
 use crate::cli::{input, output};
 use relume_capture::{Capture, ImportOptions, import};
 use relume_engine::{Device, DeviceChoice};
 use relume_scene::Model;
 use relume_spec::rendering::Tier;
-use relume_spec::training::Preset;
+use relume_spec::training::{Preset, TrainOverrides};
 use relume_train::eval::{EvalOptions, Lpips, Report, evaluate, figure};
 use relume_train::time_budget::RecordedPlan;
 use relume_train::{colour_matrix_of_card, turntable_of_card, up_of_card};
 
 /// Options of `relume bench training`.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Default, clap::Args)]
 pub(super) struct TimeCurveArgs {
     /// Captures with held-out views. Relit columns need ground-truth relit pictures and the maps of their lights.
     #[arg(required = true)]
@@ -41,7 +42,16 @@ pub(super) struct TimeCurveArgs {
     seed: u64,
     /// Number of held-out views to compare, evenly spaced.
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
-    views: u32,
+    pub(super) views: u32,
+    /// Measure where the time of each preset goes, by phase and stage, and the accuracy along the way. The file is `profile.md`.
+    #[arg(long, conflicts_with_all = ["times", "lpips"])]
+    profile: bool,
+    /// With `--profile`: number of points at which the model is evaluated, evenly spaced.
+    #[arg(long, default_value_t = 8, requires = "profile", value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub(super) points: u32,
+    /// With `--profile`: another value of a training setting; repeatable.
+    #[arg(long, value_name = "KEY=VALUE", requires = "profile")]
+    set: Vec<String>,
     /// LPIPS v0.1 AlexNet weights (safetensors).
     #[arg(long, value_name = "WEIGHTS", env = "RELUME_LPIPS_WEIGHTS")]
     lpips: Option<PathBuf>,
@@ -83,6 +93,9 @@ struct Point {
 pub(super) fn run(args: &TimeCurveArgs) -> CommandResult {
     std::fs::create_dir_all(&args.out)?;
     let device = Device::open(args.device)?;
+    if args.profile {
+        return profile(args, &device);
+    }
     let lpips = args.lpips.as_deref().map(Lpips::read).transpose()?;
     let mut text = format!(
         "{}; seed {}; {} held-out views at their stored size, tier `standard`.\n\n{}",
@@ -108,6 +121,32 @@ pub(super) fn run(args: &TimeCurveArgs) -> CommandResult {
     }
     let panels = vec![similarity_panel(&curves), relit_panel(&curves)];
     Ok(output::write_named(&args.out.join("training.svg"), plot::svg(panels)?.as_bytes())?)
+}
+
+/// Writes the profile of each capture and preset.
+fn profile(args: &TimeCurveArgs, device: &Device) -> CommandResult {
+    let mut text =
+        format!("{}; seed {}; {} held-out views.\n\n", machine(device), args.seed, args.views);
+    print!("{text}");
+    for path in &args.captures {
+        for preset in &args.presets {
+            let tables = training_profile::tables(args, path, *preset, device)?;
+            print!("{tables}");
+            text += &tables;
+            output::write_named(&args.out.join("profile.md"), text.as_bytes())?;
+        }
+    }
+    Ok(())
+}
+
+impl TimeCurveArgs {
+    /// The settings of `--set` and `--seed`.
+    ///
+    /// # Errors
+    /// Names the invalid setting.
+    pub(super) fn overrides(&self) -> Result<TrainOverrides, String> {
+        overrides(&[("seed", Some(self.seed.into()))], &self.set)
+    }
 }
 
 /// The trainings of each capture.
@@ -223,7 +262,7 @@ fn relit_panel(curves: &[(String, Vec<Point>)]) -> Panel {
 mod tests {
     use super::*;
     use relume_capture::{SyntheticOptions, synthetic};
-    use relume_spec::training::{TrainConfig, TrainOverrides};
+    use relume_spec::training::TrainConfig;
     use relume_train::Trainer;
 
     /// A model of a tiny capture and its scores.

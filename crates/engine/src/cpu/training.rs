@@ -20,6 +20,14 @@ use relume_layout::constants::EarlyStop;
 use relume_scene::light::{EnvOperators, LightTables};
 use relume_scene::{ColumnShift, Field, IndirectForm, Model, VisibilityForm, softplus, texel_directions};
 
+/// Runs a stage of a step in a span, which a profile measures.
+macro_rules! stage {
+    ($name:literal, $work:expr) => {{
+        let _span = tracing::debug_span!($name).entered();
+        $work
+    }};
+}
+
 /// The state with the operators of its light, and the snapshot of both for a roll-back.
 pub struct CpuTraining {
     state: TrainState,
@@ -73,6 +81,7 @@ impl CpuTraining {
 impl training::TrainingEngine for CpuTraining {
     fn step(&mut self, step: &Step<'_>) -> Result<Option<StepResult>, DeviceError> {
         let outcome = objective(step, &self.state, &self.operators);
+        let _span = tracing::debug_span!("adam").entered();
         let finite = outcome.loss.is_finite() && outcome.gradients.is_finite();
         if finite {
             let TrainState { model, moments, density, .. } = &mut self.state;
@@ -163,15 +172,21 @@ fn radiance_branch(step: &Step<'_>, state: &TrainState) -> ObjectiveResult {
     let source = source(state, &NO_INDIRECT_BASIS, photo.light);
     let channels = step.branches.channels(source.gaussians, source.options).differentiated;
     let view = RasterCamera::new(&photo.camera, source.options);
-    let pass = Pass::forward(&source, view, channels, EarlyStop::WhenSaturated);
-    let image = radiance_image(&pass, step.background);
+    let pass = stage!("forward", Pass::forward(&source, view, channels, EarlyStop::WhenSaturated));
+    let image = stage!("shade", radiance_image(&pass, step.background));
+    let compare = tracing::debug_span!("compare").entered();
     let target = Target::new(view.width, view.height, &photo.pixels);
     let fit = target.compare(&image, w.radiance);
+    drop(compare);
     let mut by_buffers = vec![BufferGradient::default(); image.len()];
     let mut loss = fit.value(w.radiance);
-    loss += surface_terms(step, &pass, &mut by_buffers);
+    loss += stage!("surface_terms", surface_terms(step, &pass, &mut by_buffers));
     let count = channels.count();
-    let by_gbuffer = radiance_image_backward(&pass, step.background, &fit.gradient, &by_buffers, count);
+    let by_gbuffer = stage!(
+        "shade_backward",
+        radiance_image_backward(&pass, step.background, &fit.gradient, &by_buffers, count)
+    );
+    let _backward = tracing::debug_span!("backward").entered();
     let mut gradients = pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count, None);
     gradients.env_raw = vec![[0.0; 3]; state.model.env_raw.len()];
     loss += parameters::flatness(source.gaussians, w.parameters.flatness, &mut gradients);
@@ -184,30 +199,36 @@ fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
     let PhotoLight { light: TurnedLight { group, radians }, .. } = photo.light;
     let radiance = environment_radiance(model, group);
     let turn = ColumnShift::new(radians, model.env_width);
-    let tables = operators.apply(&turn.apply(&radiance));
+    let tables = stage!("light_tables", operators.apply(&turn.apply(&radiance)));
     let basis = indirect_basis(&tables);
     let sh_degree = model.gaussians.visibility_degree();
     let shader = SurfaceShader { tables: &tables, options: &model.shading, sh_degree, range: photo.range };
     let source = source(state, &basis, photo.light).under(shader);
     let view = RasterCamera::new(&photo.camera, source.options);
     let channels = step.branches.channels(&model.gaussians, &model.shading);
-    let pass = Pass::forward(&source, view, channels.blended, EarlyStop::WhenSaturated);
-    let images = shader.images(&pass, step.background);
+    let pass = stage!("forward", Pass::forward(&source, view, channels.blended, EarlyStop::WhenSaturated));
+    let images = stage!("shade", shader.images(&pass, step.background));
+    let compare = tracing::debug_span!("compare").entered();
     let target = Target::new(view.width, view.height, &photo.pixels);
     let (physical, plain) = rayon::join(
         || target.compare(&images.physical, w.physical),
         || target.compare(&images.radiance, w.radiance),
     );
+    drop(compare);
     let mut loss = physical.value(w.physical) + plain.value(w.radiance);
     let mut by_buffers = vec![BufferGradient::default(); photo.pixels.len()];
-    loss += surface_terms(step, &pass, &mut by_buffers);
+    loss += stage!("surface_terms", surface_terms(step, &pass, &mut by_buffers));
     let by_images = BranchImages { physical: physical.gradient, radiance: plain.gradient };
     let count = channels.differentiated.count();
-    let (by_gbuffer, mut by_tables) =
-        shader.images_backward(&pass, step.background, &by_images, &by_buffers, count);
-    let mut gradients =
-        pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count, Some(&mut by_tables));
-    let by_turned = operators.apply_transposed(&by_tables);
+    let (by_gbuffer, mut by_tables) = stage!(
+        "shade_backward",
+        shader.images_backward(&pass, step.background, &by_images, &by_buffers, count)
+    );
+    let mut gradients = stage!(
+        "backward",
+        pass.backward(&source, &by_gbuffer, count.next_multiple_of(4), count, Some(&mut by_tables))
+    );
+    let by_turned = stage!("light_tables", operators.apply_transposed(&by_tables));
     let mut by_radiance = turn.apply_transposed(&by_turned).into_owned();
     loss += light_terms(step, model, &radiance, &mut by_radiance);
     gradients.env_raw = vec![[0.0; 3]; model.env_raw.len()];
@@ -215,7 +236,8 @@ fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
     for ((by_raw, raw), g) in by_raw.zip(&by_radiance) {
         *by_raw = std::array::from_fn(|c| g[c] / (1.0 + (-raw[c]).exp()));
     }
-    loss += parameter_terms(w, &source, &pass, &state.labels, &mut gradients);
+    loss +=
+        stage!("parameter_terms", parameter_terms(w, &source, &pass, &state.labels, &mut gradients));
     ObjectiveResult { loss, mse: physical.mse, gradients }
 }
 

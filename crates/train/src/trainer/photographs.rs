@@ -13,6 +13,7 @@ impl Trainer {
     /// The photograph of a step, without pixels if the engine holds it. The photographs of the next steps are decoded
     /// meanwhile.
     pub(super) fn photograph(&self, id: PhotoId) -> Arc<Photo> {
+        let _span = tracing::debug_span!("photograph").entered();
         let photo = match self.engine.holds(id) {
             true => Arc::new(self.data.without_pixels(id.index, id.size)),
             false => self.data.photo(id.index, id.size),
