@@ -70,7 +70,10 @@ async fn an_invalid_request_for_places_is_refused() {
         (json!({ "count": 1001 }), "/count"),
         (json!({ "path": { "cameras": [] } }), "/path"),
         (json!({ "path": { "cameras": [{ "camera": {} }] } }), "/path/cameras/0/camera"),
-        (json!({ "path_world": { "scale": 1, "transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]] } }), "/path_world"),
+        (
+            json!({ "path_world": { "scale": 1, "transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]] } }),
+            "/path_world",
+        ),
         (json!({ "places": 3 }), "/places"),
     ] {
         let (status, problem) = post(client, &model, &body).await;

@@ -57,8 +57,8 @@ pub(super) fn run(args: &DelightArgs) -> CommandResult {
     for (index, view) in wanted.iter().enumerate() {
         let layers = delighter.delight(view)?;
         let stem = &stems[&view.name];
-        for (name, bytes) in layers.files(format)? {
-            output::write_named(&args.out.join(layer_path(name, stem, format)), &bytes)?;
+        for (name, bytes) in layers.files(args.format)? {
+            output::write_named(&args.out.join(layer_path(name, stem, args.format)), &bytes)?;
         }
         eprintln!("{}/{}  {}", index + 1, wanted.len(), view.name);
     }

@@ -226,7 +226,11 @@ pub(super) async fn open(
 ///
 /// # Errors
 /// 404 if the capture was deleted in the meantime.
-pub(super) async fn verify(app: &AppState, tenant: &TenantId, capture: &CaptureRecord) -> Result<(), Problem> {
+pub(super) async fn verify(
+    app: &AppState,
+    tenant: &TenantId,
+    capture: &CaptureRecord,
+) -> Result<(), Problem> {
     match app.store.artifacts().verify(&capture.artifact, &capture.sha256).await {
         Err(StoreError::Missing(_)) => {
             find(app, tenant, &capture.id).await?;

@@ -15,8 +15,8 @@ use crate::server::problem::Problem;
 use crate::server::web;
 use crate::server::{
     calibrations, cameras, captures, deletion, description, environments, events, exports, files, health,
-    jobs, keys, materials, models, next_photographs, photographs, poses, previews, renders, share_page, signed_urls,
-    thumbnails, uploads, usage, viewer, webhooks, workers,
+    jobs, keys, materials, models, next_photographs, photographs, poses, previews, renders, share_page,
+    signed_urls, thumbnails, uploads, usage, viewer, webhooks, workers,
 };
 
 fn families() -> OpenApiRouter<AppState> {
@@ -43,7 +43,10 @@ fn families() -> OpenApiRouter<AppState> {
         .merge(with_limits(reading, &ARCHIVE_READS))
         .merge(with_limits(workers::transfers(), &WORKER_FILES))
         .merge(with_limits(queries, &QUERIES))
-        .merge(with_limits(renders::routes().merge(calibrations::routes()).merge(next_photographs::routes()), &RENDERS))
+        .merge(with_limits(
+            renders::routes().merge(calibrations::routes()).merge(next_photographs::routes()),
+            &RENDERS,
+        ))
         .merge(with_limits(
             thumbnails::routes()
                 .merge(photographs::pictures())

@@ -5,8 +5,10 @@ use std::path::Path;
 
 use crate::TrainError;
 use crate::memory::{self, MemoryBudget, PhotographSizes};
+use crate::world_up::up_of_card;
 use relume_capture::{
-    Capture, CaptureError, ColourMatrix, ImportLimits, ImportOptions, UndecodedCapture, Up, measure_colour_chart,
+    Capture, CaptureError, ColourMatrix, ImportLimits, ImportOptions, UndecodedCapture, Up,
+    measure_colour_chart,
 };
 use relume_spec::training::{TrainConfig, TurntableCapture};
 use serde::Deserialize;

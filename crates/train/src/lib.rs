@@ -37,7 +37,8 @@ pub use checkpoint::planned_config;
 pub use dataset::DecodingStats;
 pub use error::TrainError;
 pub use import::{
-    colour_matrix_of_card, import_for_training, import_options_of_card, import_in_world, light_groups_of_card, light_like_card, turntable_of_card,
+    colour_matrix_of_card, import_for_training, import_in_world, import_options_of_card,
+    light_groups_of_card, light_like_card, turntable_of_card,
 };
 pub use known_light::illuminate;
 pub use memory::{MemoryBudget, MemoryEstimate, PhotographSizes};

@@ -125,8 +125,7 @@ pub(super) fn run(args: &TimeCurveArgs) -> CommandResult {
 
 /// Writes the profile of each capture and preset.
 fn profile(args: &TimeCurveArgs, device: &Device) -> CommandResult {
-    let mut text =
-        format!("{}; seed {}; {} held-out views.\n\n", machine(device), args.seed, args.views);
+    let mut text = format!("{}; seed {}; {} held-out views.\n\n", machine(device), args.seed, args.views);
     print!("{text}");
     for path in &args.captures {
         for preset in &args.presets {

@@ -72,7 +72,11 @@ pub(super) async fn check(
 }
 
 /// The capture of a model.
-async fn capture_of(app: &AppState, tenant: &TenantId, model: &ModelRecord) -> Result<CaptureRecord, Problem> {
+async fn capture_of(
+    app: &AppState,
+    tenant: &TenantId,
+    model: &ModelRecord,
+) -> Result<CaptureRecord, Problem> {
     let deleted = || {
         let detail = format!(
             "capture {:?} was deleted, and with it the photographs of this model; download model.safetensors and run `relume delight` \
@@ -199,7 +203,9 @@ impl LayersPlan {
     /// from the first on.
     fn write(&self, model: Model, folder: &Path, token: &CancellationToken) -> Result<usize, ExportError> {
         if !model.has_materials() {
-            return Err(ExportError::failed("the model has no materials, so photographs cannot be separated"));
+            return Err(ExportError::failed(
+                "the model has no materials, so photographs cannot be separated",
+            ));
         }
         let failed = |error: &dyn std::fmt::Display| ExportError::failed(error.to_string());
         let start = Instant::now();

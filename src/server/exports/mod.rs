@@ -20,7 +20,7 @@ mod work_folder;
 mod zip;
 
 pub(super) use exporter::work;
-pub use queue::ExportPolicy;
 pub(super) use plan::path;
+pub use queue::ExportPolicy;
 pub(super) use queue::ExportQueue;
 pub(super) use routes::routes;

@@ -132,9 +132,7 @@ fn file_of(kind: ExportKind) -> (SplatFile, &'static str, &'static str) {
         | ExportKind::Mesh
         | ExportKind::Frames
         | ExportKind::LightMatrix
-        | ExportKind::Delight => {
-            (SplatFile::Glb, "glb", "model/gltf-binary")
-        }
+        | ExportKind::Delight => (SplatFile::Glb, "glb", "model/gltf-binary"),
         ExportKind::Usd => (SplatFile::Usda, "usda", "model/vnd.usda"),
         ExportKind::Usdz => (SplatFile::Usdz, "usdz", "model/vnd.usdz+zip"),
         ExportKind::Ply => (SplatFile::Ply, "ply", "application/octet-stream"),

@@ -236,8 +236,7 @@ fn both_branches(step: &Step<'_>, state: &TrainState, operators: &EnvOperators) 
     for ((by_raw, raw), g) in by_raw.zip(&by_radiance) {
         *by_raw = std::array::from_fn(|c| g[c] / (1.0 + (-raw[c]).exp()));
     }
-    loss +=
-        stage!("parameter_terms", parameter_terms(w, &source, &pass, &state.labels, &mut gradients));
+    loss += stage!("parameter_terms", parameter_terms(w, &source, &pass, &state.labels, &mut gradients));
     ObjectiveResult { loss, mse: physical.mse, gradients }
 }
 

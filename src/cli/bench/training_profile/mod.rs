@@ -89,12 +89,8 @@ fn measure(
     let times = StageTimes::default();
     let subscriber = tracing_subscriber::registry().with(times.clone());
     let _collected = tracing::subscriber::set_default(subscriber);
-    let mut profile = Profile {
-        seconds: 0.0,
-        phases: BTreeMap::new(),
-        stages: BTreeMap::new(),
-        moments: Vec::new(),
-    };
+    let mut profile =
+        Profile { seconds: 0.0, phases: BTreeMap::new(), stages: BTreeMap::new(), moments: Vec::new() };
     let mut trainer = Trainer::new(capture, config, device)?;
     let total = trainer.progress().total;
     while !trainer.is_done() {
@@ -158,7 +154,15 @@ fn text(name: &str, profile: &Profile) -> String {
     text += "\n";
     text += &head(
         &["step"],
-        ["s", "Gaussians", "novel view, dB", "relit, dB", "relit aligned, dB", "dB/min novel", "dB/min relit"],
+        [
+            "s",
+            "Gaussians",
+            "novel view, dB",
+            "relit, dB",
+            "relit aligned, dB",
+            "dB/min novel",
+            "dB/min relit",
+        ],
     );
     let mut before: Option<&Moment> = None;
     for moment in &profile.moments {
