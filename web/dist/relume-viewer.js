@@ -1,1 +1,1 @@
-export{t as RelumeViewer}from"./assets/element-BmAYB6Dw.js";
+export{t as RelumeViewer}from"./assets/element-s6IiQxJc.js";

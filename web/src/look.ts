@@ -1,4 +1,4 @@
-import type { Camera, EnvironmentSpec, Export, NewExport, RenderRequest } from './api/types'
+import type { Camera, DelightExport, EnvironmentSpec, Export, NewExport, RenderRequest } from './api/types'
 
 /** The display settings of a model, which the URL of its page stores. */
 export interface Look {
@@ -106,11 +106,12 @@ export const TAKEN = {
   ply: 'PLY, relightable',
   relit: 'PLY, as lit here',
   mesh: 'Mesh with textures (.glb)',
+  delight: 'Photographs without their light (zip)',
 } as const
 
 /** What an export shows, for the list of exports. `lightName` names the light of its request. */
 export function exportName(of: Export, lightName: (light: EnvironmentSpec | null | undefined) => string): string {
-  const isChanged = Boolean(of.request?.materials?.length)
+  const isChanged = Boolean(of.request && 'materials' in of.request && of.request.materials?.length)
   const hasLamps = of.request?.kind === 'frames' && Boolean(of.request.lamps?.length)
   const most = of.request && 'max_splats' in of.request ? of.request.max_splats : undefined
   return `${contentOf(of, lightName)}${most ? `, at most ${most} Gaussians` : ''}${hasLamps ? ', with lamps' : ''}${isChanged ? ', materials changed' : ''}`
@@ -125,6 +126,10 @@ function contentOf({ kind, request, progress }: Export, lightName: (light: Envir
   if (request?.kind === 'light_matrix') {
     const size = request.width && request.height ? `, ${request.width} × ${request.height} px` : ''
     return `Light matrix, ${request.lobes ?? 128} lobes${progress.total > 1 ? `, ${progress.total} cameras` : ''}${size}`
+  }
+  if (request?.kind === 'delight') {
+    const amount = request.photographs ? `, ${request.photographs.length} chosen` : ''
+    return `Photographs without their light, ${String(request.format ?? 'exr').toUpperCase()}${amount}${request.resolution ? `, longest side ${request.resolution} px` : ''}`
   }
   if (request && 'environment' in request && request.environment) return `${kind.toUpperCase()}, ${lightName(request.environment)}`
   return kind in TAKEN ? TAKEN[kind as keyof typeof TAKEN].replace(/ \(.*\)$/, '') : kind
@@ -157,8 +162,19 @@ export function hasGaussians(what: keyof typeof TAKEN): boolean {
 
 /** An export of Gaussians with at most `most` of them. Undefined: all. Other exports stay as they are. */
 export function exportWithin(request: NewExport, most: number | undefined): NewExport {
-  if (most === undefined || request.kind === 'frames' || request.kind === 'mesh' || request.kind === 'light_matrix') return request
+  if (most === undefined || request.kind === 'frames' || request.kind === 'mesh' || request.kind === 'light_matrix' || request.kind === 'delight') return request
   return { ...request, max_splats: most }
+}
+
+/** File format of the layers of photographs without their light. */
+export type DelightFormat = 'exr' | 'png'
+/** Longest sides of these layers in the API, pixels. */
+export const DELIGHT_SIDE = { least: 16, most: 8192 } as const
+
+/** An export of photographs without their light, with a format and a longest side. Undefined: the size of the photographs. Other exports stay as they are. */
+export function exportDelight(request: NewExport, format: DelightFormat, side: number | undefined): NewExport {
+  if (request.kind !== 'delight') return request
+  return { ...request, format: format as NonNullable<DelightExport['format']>, ...(side === undefined ? {} : { resolution: side }) }
 }
 
 /** The render request for the camera of a photograph. */

@@ -52,9 +52,9 @@ export function isLitByChanges(kind: string): boolean {
   return kind === 'gltf' || kind === 'usdz'
 }
 
-/** An export of the model with the changes. */
+/** An export of the model with the changes. Photographs without their light have none. */
 export function exportWith(request: NewExport, edits: MaterialEdit[], light: EnvironmentSpec): NewExport {
-  if (edits.length === 0) return request
+  if (edits.length === 0 || request.kind === 'delight') return request
   return { ...request, ...(isLitByChanges(request.kind) ? { environment: light } : {}), materials: edits }
 }
 

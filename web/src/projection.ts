@@ -54,6 +54,17 @@ export function unprojected(camera: LookAt, aspect: number, { at, depth }: Seen)
   return [along(0), along(1), along(2)]
 }
 
+/** The least distance from which a camera with this direction and target has points in its picture, at most at this share of half its sides. Capture units. */
+export function distanceOf(camera: LookAt, aspect: number, points: number[][], share: number): number {
+  const [right, down, forward] = axes(camera)
+  const [wide, high] = halves(camera, aspect)
+  const needed = points.map((point) => {
+    const from = minus(point, camera.target)
+    return Math.max(Math.abs(dot(from, right)) / (share * wide), Math.abs(dot(from, down)) / (share * high)) - dot(from, forward)
+  })
+  return Math.max(0, ...needed)
+}
+
 /** Depths of a picture of a model, row by row: levels from 0 at `near` to 255 at `far`. */
 export interface Depths {
   width: number

@@ -31,7 +31,7 @@ export async function confidentModel(page, audit) {
   const listen = (request) => request.url().endsWith('/render') && requests.push(JSON.parse(request.postData() ?? '{}'))
   page.on('request', listen)
   const asked = () => requests.filter(({ outputs }) => outputs?.[0] === 'confidence')
-  await panel.getByText('relume capture next').waitFor()
+  await panel.getByRole('button', { name: 'Where to photograph next' }).waitFor()
   await page.waitForTimeout(500)
   assert.deepEqual(requests, [], 'the closed panel loads nothing')
   await panel.getByRole('button', { name: 'Show the confidence' }).click()

@@ -7,10 +7,12 @@ import { createServer } from 'node:http'
 import { createRequire } from 'node:module'
 import { chromium } from 'playwright-core'
 import { confidentModel, smallerExport } from './confidence.mjs'
+import { delitPhotographs } from './delight.mjs'
 import { documentedApi } from './documentation.mjs'
 import { keyIsNotPolled, lostServer, refusedTraining, unknownPaths, wrongFiles } from './failures.mjs'
 import { stagedModel } from './lamps.mjs'
 import { changedMaterials } from './materials.mjs'
+import { nextPhotographs } from './next-photographs.mjs'
 import { sharedModel, sharedWithoutWebGpu } from './sharing.mjs'
 import { calibratedModel, dimmedLight, movedCamera, openedModel, takenAway, turnedLight } from './viewing.mjs'
 
@@ -19,7 +21,7 @@ const axe = readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.mi
 // WebGPU in software: of the flags that are usually named, only these give an adapter and a canvas.
 const FLAGS = ['--no-sandbox', '--enable-unsafe-webgpu', '--use-angle=swiftshader', '--enable-features=Vulkan', '--use-vulkan=swiftshader']
 /** Refusals that the walk provokes: a browser tells them to its console. */
-const PROVOKED = [401, 404, 413, 422, 503, 507]
+const PROVOKED = [401, 404, 409, 413, 422, 503, 507]
 
 const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', args: FLAGS })
 const faults = []
@@ -258,6 +260,7 @@ await audit(page, 'model')
 await changedMaterials(page, audit)
 await stagedModel(page, audit)
 await confidentModel(page, audit)
+await nextPhotographs(page, audit)
 
 // Downloads: the frame that is seen, and the model itself.
 for (const [button, name, least] of [['Save the picture', /\.png$/, 500], ['↓ model.safetensors', /^model\.safetensors$/, 10_000]]) {
@@ -283,6 +286,7 @@ await audit(page, 'model-exports')
 await page.getByRole('button', { name: 'Delete PLY, relightable' }).click()
 await page.getByRole('button', { name: '↓ PLY, relightable' }).waitFor({ state: 'detached' })
 await smallerExport(page)
+await delitPhotographs(page, audit)
 
 // For people without a key.
 await sharedModel(page, open, audit)

@@ -23,7 +23,7 @@ interface StageProps {
 }
 
 /** The camera of a picture, if the picture looks at a point. */
-export function lookAtOf(picture: StagedPicture): LookAt | undefined {
+export function lookAtOf(picture: Pick<StagedPicture, 'request'>): LookAt | undefined {
   return picture.request && 'look_at' in picture.request.camera ? (picture.request.camera.look_at as LookAt) : undefined
 }
 

@@ -5,9 +5,10 @@ import type { Environments, EnvironmentSpec, Export, Listed, MaterialEdit, Signe
 import { bytes, called, spoken } from '../format'
 import { useLoaded } from '../hooks'
 import { exportStaged, shining, type Staging } from '../lamps'
-import { environment, exportName, exportOf, exportWithin, hasGaussians, TAKEN, type Look, type View } from '../look'
+import { environment, exportDelight, exportName, exportOf, exportWithin, hasGaussians, TAKEN, type DelightFormat, type Look, type View } from '../look'
 import { exportWith, isLitByChanges } from '../materials'
 import { Badge, Failure } from './common'
+import { DelightFields } from './delight-fields'
 import { NumberField } from './number-field'
 
 type Taken = keyof typeof TAKEN
@@ -30,6 +31,8 @@ export function TakeAlong({ model, look, view, lights, edits, staging }: TakeAlo
   const [frames, setFrames] = useState(60)
   const [side, setSide] = useState(512)
   const [most, setMost] = useState<number>()
+  const [format, setFormat] = useState<DelightFormat>('exr')
+  const [longest, setLongest] = useState<number>()
   const [error, setError] = useState<PageError>()
   const [isMaking, setMaking] = useState(false)
   const made = useLoaded<Listed<Export>>(`v1/exports?limit=8&model=${encodeURIComponent(model)}`, isMaking ? EVERY : undefined)
@@ -43,8 +46,8 @@ export function TakeAlong({ model, look, view, lights, edits, staging }: TakeAlo
   const start = (event: Event) => {
     event.preventDefault()
     const builtin = lights?.builtin ?? []
-    const request = exportWithin(exportStaged(exportWith(exportOf(what, look, view, builtin, frames, side), edits, environment(look, builtin)), staging), most)
-    void act(post<Export>(`v1/models/${encodeURIComponent(model)}/exports`, request))
+    const request = exportStaged(exportWith(exportOf(what, look, view, builtin, frames, side), edits, environment(look, builtin)), staging)
+    void act(post<Export>(`v1/models/${encodeURIComponent(model)}/exports`, exportDelight(exportWithin(request, most), format, longest)))
   }
   const isTurntable = what === 'frames' || what === 'video' || what === 'layers'
   const lamps = shining(staging).length
@@ -70,7 +73,8 @@ export function TakeAlong({ model, look, view, lights, edits, staging }: TakeAlo
             <p class="hint">The file has those that contribute most to views around the model.</p>
           </div>
         ) : null}
-        {edits.length > 0 ? <p class="small">The file has the changes of {edits.length === 1 ? '1 material' : `${edits.length} materials`}{isLitByChanges(what) ? ', under the chosen light' : ''}.</p> : null}
+        {what === 'delight' ? <DelightFields format={format} side={longest} onFormat={setFormat} onSide={setLongest} /> : null}
+        {edits.length > 0 ? <p class="small">{changesIn(what, edits.length)}</p> : null}
         {lamps > 0 ? <p class="small">{isTurntable ? `The pictures have the light of ${lamps === 1 ? '1 lamp' : `${lamps} lamps`}.` : 'This file has no lamps; turntables have them.'}</p> : null}
         {what === 'layers' ? <p class="small">Each EXR has the picture, its depth, and the <code>shadow</code>, <code>bounce</code> and <code>contact</code> of the ground{staging.height === undefined ? ' at the lowest visible point of the model' : ` at the height ${staging.height}`}, under the environment without lamps.</p> : null}
         <div class="row"><button type="submit">Make it</button></div>
@@ -79,6 +83,12 @@ export function TakeAlong({ model, look, view, lights, edits, staging }: TakeAlo
       {exports.length > 0 ? <ul class="notices" aria-label="Made of this model">{exports.map((one) => <Made of={one} key={one.id} lights={lights} onAct={act} />)}</ul> : null}
     </section>
   )
+}
+
+/** Whether a file has the changes of materials. */
+function changesIn(what: Taken, amount: number): string {
+  if (what === 'delight') return 'This file has the photographed materials without changes.'
+  return `The file has the changes of ${amount === 1 ? '1 material' : `${amount} materials`}${isLitByChanges(what) ? ', under the chosen light' : ''}.`
 }
 
 function Whole({ id, label, value, least, most, onInput }: { id: string; label: string; value: number; least: number; most: number; onInput: (value: number) => void }) {

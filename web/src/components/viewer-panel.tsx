@@ -1,3 +1,4 @@
+import type { RefObject } from 'preact'
 import { useEffect, useRef, useState } from 'preact/hooks'
 import { address, apiKey, post } from '../api/client'
 import { explain, type PageError } from '../api/page-error'
@@ -15,6 +16,8 @@ const COMMAND_SIZE = 1024
 const SHARED_FOR = 7 * 24 * 3600
 
 interface ViewerPanelProps {
+  /** Gets the viewer's element. */
+  viewer: RefObject<RelumeViewer | null>
   model: Model
   look: Look
   query: URLSearchParams
@@ -29,9 +32,8 @@ interface Arrived {
   total: number | undefined
 }
 
-/** The viewer's element and what its events have told. */
-function useViewer(onView: ViewerPanelProps['onView']) {
-  const viewer = useRef<RelumeViewer>(null)
+/** What the events of the viewer's element have told. */
+function useViewer(viewer: ViewerPanelProps['viewer'], onView: ViewerPanelProps['onView']) {
   const [mode, setMode] = useState<string>()
   const [isReady, setReady] = useState(false)
   const [isWaiting, setWaiting] = useState(false)
@@ -55,16 +57,16 @@ function useViewer(onView: ViewerPanelProps['onView']) {
     on<boolean>('relume-waiting', setWaiting)
     on<{ message: string }>('relume-error', ({ message }) => setError({ what: 'The viewer cannot show this.', remedy: 'Try again, or choose another light.', detail: message }))
     return () => stop.abort()
-  }, [onView])
-  return { viewer, mode, isReady, isWaiting, arrived, error, setError }
+  }, [viewer, onView])
+  return { mode, isReady, isWaiting, arrived, error, setError }
 }
 
 /** The viewer and the actions on its picture. */
-export function ViewerPanel({ model, look, query, lights, view, onView, onRotation }: ViewerPanelProps) {
+export function ViewerPanel({ viewer, model, look, query, lights, view, onView, onRotation }: ViewerPanelProps) {
   const frame = useRef<HTMLDivElement>(null)
   // The initial camera comes from the URL; later the viewer reports its camera.
   const [start] = useState(() => readView(query))
-  const { viewer, mode, isReady, isWaiting, arrived, error, setError } = useViewer(onView)
+  const { mode, isReady, isWaiting, arrived, error, setError } = useViewer(viewer, onView)
   const [turning, setTurning] = useState(false)
   const [marked, setMarked] = useState(true)
   const [told, setTold] = useState('')

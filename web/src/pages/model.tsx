@@ -1,4 +1,4 @@
-import { useCallback, useEffect, useState } from 'preact/hooks'
+import { useCallback, useEffect, useRef, useState } from 'preact/hooks'
 import { ask, patch, remove } from '../api/client'
 import { explain, type PageError } from '../api/page-error'
 import type { Environments, MaterialEdit, Model } from '../api/types'
@@ -17,6 +17,7 @@ import { useLoaded, useTitle } from '../hooks'
 import { readStaging, writtenStaging, type Staging } from '../lamps'
 import { OUTPUTS, readLook, written, type Look, type View } from '../look'
 import { describe, go, link } from '../router'
+import type { RelumeViewer } from '../viewer/element'
 
 /** Labels of the layers. */
 const LAYERS: Record<(typeof OUTPUTS)[number], string> = {
@@ -46,6 +47,7 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
   const lights = useLoaded<Environments>('v1/environments?limit=100')
   const { look, view, centre, staging, change, setStaging, seen } = useAddress(id, query)
   const [edits, setEdits] = useState<MaterialEdit[]>([])
+  const viewer = useRef<RelumeViewer>(null)
   const [failed, setFailed] = useState<PageError>()
   useTitle(model ? called(model, 'Model') : 'Model')
   const discard = () => {
@@ -66,10 +68,10 @@ export function ModelPage({ id, query }: { id: string; query: URLSearchParams })
       {model ? (
         <div class="viewing">
           <div class="stack">
-            <ViewerPanel key={`viewer ${version}`} model={model} look={look} query={view ? new URLSearchParams(written(look, view, centre)) : query} lights={lights.data} onView={seen} view={view} onRotation={(rotation) => change({ rotation })} />
+            <ViewerPanel key={`viewer ${version}`} viewer={viewer} model={model} look={look} query={view ? new URLSearchParams(written(look, view, centre)) : query} lights={lights.data} onView={seen} view={view} onRotation={(rotation) => change({ rotation })} />
             <Materials key={`materials ${version}`} model={model} look={look} view={view} lights={lights.data} edits={edits} onChange={setEdits} />
             <Lamps key={`lamps ${version}`} model={model} look={look} view={view} lights={lights.data} edits={edits} staging={staging} onChange={setStaging} />
-            <Confidence key={`confidence ${version}`} model={model} look={look} view={view} lights={lights.data} />
+            <Confidence key={`confidence ${version}`} model={model} look={look} view={view} lights={lights.data} onTurn={(...to) => viewer.current?.turnTo(...to)} />
             <LightComparison key={`lights ${version}`} model={id} view={view} lights={lights.data} onChange={(light) => change({ light })} />
             <section class="card stack" aria-labelledby="wipe">
               <h2 id="wipe">Against a photograph</h2>

@@ -125,6 +125,12 @@ export class RelumeViewer extends HTMLElement {
     this.#orbit.reset()
   }
 
+  /** Shows the whole model from another direction: the initial camera with this azimuth and elevation (degrees), and this distance (capture units) if it is given. */
+  turnTo(azimuth: number, elevation: number, distance?: number): void {
+    this.#orbit.set({ ...this.#initial(), azimuth, elevation, ...(distance === undefined ? {} : { distance }) })
+    this.#moved()
+  }
+
   /** The current picture at full quality as a PNG. Rejects if no model is shown. */
   async snapshot(): Promise<Blob> {
     if (!this.#engine) throw new Error('no model is shown')
