@@ -120,9 +120,8 @@ fn view(next: &NextPhotograph, camera: &Camera) -> NextPhotographView {
 }
 
 fn refused(error: NextPhotographError) -> Problem {
-    let kind = match error {
-        NextPhotographError::NoConfidence => "no-confidence",
-        NextPhotographError::NoSubject => "no-subject",
-    };
-    Problem::conflict(kind, error.to_string())
+    match error {
+        NextPhotographError::NoConfidence => Problem::conflict("no-confidence", error.to_string()),
+        NextPhotographError::NoSubject => Problem::conflict("no-subject", error.to_string()),
+    }
 }

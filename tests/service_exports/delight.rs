@@ -60,7 +60,7 @@ async fn exported_layers_equal_those_of_the_command_line() {
     let file = export.file.unwrap();
     assert_eq!((file.name, file.content_type), (format!("{model}-layers.zip"), "application/zip".into()));
 
-    let capture = client.capture_photographs(&job.request.capture, CameraConvention::Opengl).await.unwrap();
+    let capture = client.capture_photographs(&job.capture, CameraConvention::Opengl).await.unwrap();
     let wanted = &capture.photographs.last().unwrap().taken.name;
     let spec = DelightExport {
         photographs: Some(vec![wanted.clone(), wanted.clone()]),
@@ -93,7 +93,7 @@ async fn an_invalid_export_of_layers_is_refused() {
         let problem: Value = serde_json::from_str(&refused.text().await.unwrap()).unwrap();
         assert_eq!((status, &problem["errors"][0]["pointer"]), (422, &json!(pointer)), "{problem}");
     }
-    client.delete_capture(&job.request.capture, true).await.unwrap();
+    client.delete_capture(&job.capture, true).await.unwrap();
     let refused = post(client, &model, &json!({ "kind": "delight" })).await;
     let status = refused.status().as_u16();
     let problem: Value = serde_json::from_str(&refused.text().await.unwrap()).unwrap();

@@ -125,6 +125,7 @@ fn ask(client: &Client, method: &str, path: &str, id: &str) -> RequestBuilder {
             let patch = json!({ "photo": "train/r_0.png", "x": 14, "y": 14, "width": 4, "height": 4 });
             request.json(&json!({ "patch": patch, "reflectance": 0.18 }))
         }
+        ("POST", "/v1/models/{id}/next-photographs") => request.json(&json!({ "count": 1 })),
         ("POST", "/v1/models/{id}/exports") => request.json(&json!({ "kind": "gltf" })),
         ("POST", "/v1/models/{id}/render") => {
             request.json(&json!({ "camera": look, "width": 8, "height": 8 }))

@@ -37,7 +37,7 @@ pub trait TrainingEngine: Send {
     /// The signals from which density control plans a round.
     fn density_signals(&self) -> Result<DensitySignals, DeviceError>;
 
-    /// Rebuilds the model by `plan` and clears the statistics.
+    /// Rebuilds the model by `plan` and clears the statistics. New Gaussians have the measurements of their sources.
     fn rebuild(&mut self, plan: &DensityPlan) -> Result<(), DeviceError>;
 
     /// Continues from another state of the same shape. This method and the next one discard unfinished steps.

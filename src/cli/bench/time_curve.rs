@@ -43,7 +43,7 @@ pub(super) struct TimeCurveArgs {
     /// Number of held-out views to compare, evenly spaced.
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     pub(super) views: u32,
-    /// Measure where the time of each preset goes, by phase and stage, and the accuracy along the way. The file is `profile.md`.
+    /// Measure where the time of each preset goes, by phase and stage, and the accuracy along the way. The file is `profile` with the ending `.md`.
     #[arg(long, conflicts_with_all = ["times", "lpips"])]
     profile: bool,
     /// With `--profile`: number of points at which the model is evaluated, evenly spaced.
@@ -132,10 +132,18 @@ fn profile(args: &TimeCurveArgs, device: &Device) -> CommandResult {
             let tables = training_profile::tables(args, path, *preset, device)?;
             print!("{tables}");
             text += &tables;
-            output::write_named(&args.out.join("profile.md"), text.as_bytes())?;
+            output::write_named(&args.out.join("profile").with_extension("md"), text.as_bytes())?;
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+impl TimeCurveArgs {
+    /// Arguments of a profile with this many points and held-out views.
+    pub(super) fn with_points(points: u32, views: u32) -> Self {
+        Self { points, views, ..Self::default() }
+    }
 }
 
 impl TimeCurveArgs {

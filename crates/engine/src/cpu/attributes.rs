@@ -183,7 +183,8 @@ impl AttributeSource<'_> {
         let to_mean = std::array::from_fn(|k| mean[k] - view.centre[k]);
         let surface = self.surface(i, row, to_mean);
         let g = std::array::from_fn(|c| by_row[OutgoingRadiance::TOTAL.start + c]);
-        let by = light.shade_backward(&surface, &light.shade(&surface), g, by_tables);
+        let trains_visibility = by_row.len() >= channel::VISIBILITY;
+        let by = light.shade_backward(&surface, &light.shade(&surface), g, by_tables, trains_visibility);
         for c in 0..3 {
             by_row[channel::NORMAL.start + c] += by.normal[c];
             by_row[channel::ALBEDO.start + c] += by.albedo[c];

@@ -203,7 +203,7 @@ impl SurfaceShader<'_> {
             by_coverage += g[c] * shown;
             by_linear[c] = self.display_backward(linear, shown, g[c] * coverage);
         }
-        let by = self.shade_backward(&surface, &shaded, by_linear, tables);
+        let by = self.shade_backward(&surface, &shaded, by_linear, tables, true);
         // Attributes are buffers divided by coverage.
         let inverse = 1.0 / coverage;
         let mut along = 0.0;

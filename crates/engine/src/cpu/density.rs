@@ -17,12 +17,29 @@ pub fn signals(state: &TrainState) -> DensitySignals {
     }
 }
 
-/// Rebuilds the model and its moments by `plan`, and clears the statistics.
+/// Rebuilds the model, its moments and its measurements by `plan`, and clears the statistics. Each new Gaussian has the measurements of its
+/// source.
 pub fn rebuild(state: &mut TrainState, plan: &DensityPlan) {
+    let before = state.model.gaussians.len();
+    let coefficients = state.labels.len() / before.max(1);
+    state.labels = inherited(&state.labels, before, coefficients, plan);
+    state.gathered = inherited(&state.gathered, before, 1, plan);
+    state.arriving = inherited(&state.arriving, before, 1, plan);
     let kept = |g: &PlannedGaussian| (g.origin == SplitOrigin::Keep).then_some(g.source as usize);
     state.moments.gather(&plan.gaussians.iter().map(kept).collect::<Vec<_>>());
     state.density = DensityStats::zeroed(plan.gaussians.len());
     state.model.gaussians = rebuilt(&state.model.gaussians, plan);
+}
+
+/// The rows of `width` values of the sources of `plan`, in each block of rows of `before` Gaussians.
+fn inherited<T: Copy>(old: &[T], before: usize, width: usize, plan: &DensityPlan) -> Vec<T> {
+    let mut new = Vec::with_capacity(old.len() / before.max(1) * plan.gaussians.len());
+    for block in old.chunks_exact((before * width).max(1)) {
+        for planned in &plan.gaussians {
+            new.extend_from_slice(&block[planned.source as usize * width..][..width]);
+        }
+    }
+    new
 }
 
 fn rebuilt(old: &Gaussians, plan: &DensityPlan) -> Gaussians {
@@ -62,4 +79,21 @@ fn halve(g: &mut Gaussians, i: usize, side: f32) {
     let o = sigmoid(*opacity);
     let halved = (1.0 - (1.0 - o).powf(HALF_OPACITY_EXPONENT)).clamp(0.01, 0.98);
     *opacity = (halved / (1.0 - halved)).ln();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn new_gaussians_have_the_measurements_of_their_sources() {
+        let planned = |source| PlannedGaussian { source, origin: SplitOrigin::LowerHalf };
+        let plan = DensityPlan { gaussians: [2, 0, 2].map(planned).to_vec() };
+        let rows: Vec<u32> = (0..12).collect();
+        assert_eq!(inherited(&rows[..6], 3, 2, &plan), [4, 5, 0, 1, 4, 5]);
+        let two_lights = inherited(&rows[..6], 3, 1, &plan);
+        assert_eq!(two_lights, [2, 0, 2, 5, 3, 5], "a block for each light");
+        assert!(inherited::<u32>(&[], 3, 0, &plan).is_empty(), "nothing was measured");
+        assert!(inherited::<u32>(&[], 0, 0, &DensityPlan::default()).is_empty());
+    }
 }

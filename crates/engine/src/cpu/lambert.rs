@@ -1,5 +1,7 @@
 //! The diffuse term of one surface, in a pixel or at a Gaussian (docs/MODEL.md, section 4), forward and backward.
 
+use multiversion::multiversion;
+
 use crate::cpu::surface::{MAX_COEFFICIENTS, Surface, SurfaceGradient, SurfaceShader, dot3};
 use relume_scene::light::{LightTables, Taps, UNOCCLUDED_SH0, nrsh_factor, sh_eval, sh_eval_with_gradient};
 
@@ -11,6 +13,7 @@ pub(super) struct Lambert {
     /// Radiance.
     pub(super) radiance: [f32; 3],
     normal: [f32; 3],
+    gathered: [f32; 3],
     irradiance: [f32; 3],
     /// Irradiance before the clamp; the next field has it per tap.
     irradiance_raw: [f32; 3],
@@ -21,7 +24,7 @@ pub(super) struct Lambert {
 }
 
 /// Dot product of two slices of equal length, a multiple of 16: sixteen running sums, then a fixed tree.
-#[inline]
+#[inline(always)]
 fn dot_padded(a: &[f32], b: &[f32]) -> f32 {
     let mut sums = [0.0f32; 16];
     for (x, y) in a.as_chunks::<16>().0.iter().zip(b.as_chunks::<16>().0) {
@@ -37,6 +40,46 @@ fn dot_padded(a: &[f32], b: &[f32]) -> f32 {
         width /= 2;
     }
     sums[0]
+}
+
+/// Start of the rows of `node` in a table with `n` coefficients per colour.
+#[inline(always)]
+fn rows_at(node: usize, n: usize) -> usize {
+    3 * node * n
+}
+
+/// Irradiance at four nodes of `diffuse` through the visibility `v` (padded): `[node][rgb]`.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
+fn irradiance_at(diffuse: &[f32], nodes: &[usize; 4], v: &[f32]) -> [[f32; 3]; 4] {
+    let n = v.len();
+    nodes.map(|node| {
+        let rows = &diffuse[rows_at(node, n)..][..3 * n];
+        [0, 1, 2].map(|c| dot_padded(&rows[c * n..(c + 1) * n], v))
+    })
+}
+
+/// Adds the gradient of [`irradiance_at`] by the table to `diffuse`: `by` times the visibility `v`.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
+fn add_to_table(diffuse: &mut [f32], nodes: &[usize; 4], by: &[[f32; 3]; 4], v: &[f32]) {
+    let n = v.len();
+    for (node, by) in nodes.iter().zip(by) {
+        let rows = &mut diffuse[rows_at(*node, n)..][..3 * n];
+        for (row, by) in rows.chunks_exact_mut(n).zip(by) {
+            row.iter_mut().zip(v).for_each(|(o, v)| *o += by * v);
+        }
+    }
+}
+
+/// Adds the gradient of [`irradiance_at`] by the visibility to `out`, which is padded.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
+fn add_to_visibility(diffuse: &[f32], nodes: &[usize; 4], by: &[[f32; 3]; 4], out: &mut [f32]) {
+    let n = out.len();
+    for (node, by) in nodes.iter().zip(by) {
+        let rows = &diffuse[rows_at(*node, n)..][..3 * n];
+        for (row, by) in rows.chunks_exact(n).zip(by) {
+            out.iter_mut().zip(row).for_each(|(o, t)| *o += by * t);
+        }
+    }
 }
 
 impl SurfaceShader<'_> {
@@ -57,17 +100,17 @@ impl SurfaceShader<'_> {
         (self.squash(raw), raw)
     }
 
-    /// The diffuse term of `s`, with its unit `normal` turned to the camera.
-    pub(super) fn lambert(&self, s: &Surface, normal: [f32; 3]) -> Lambert {
+    /// The diffuse term of `s` with the unit `normal` turned to the camera, where light of `gathered` arrives from other surfaces and from
+    /// dominant lights.
+    pub(super) fn lambert(&self, s: &Surface, gathered: [f32; 3], normal: [f32; 3]) -> Lambert {
         // Four tabulated normals around n, each a dot product with the visibility coefficients.
         let taps = self.tables.diffuse_grid.lookup(normal);
         let scalar = self.is_scalar();
-        let tap_irradiance: [[f32; 3]; 4] = std::array::from_fn(|k| {
-            let rows = self.tables.diffuse_rows(taps.node[k]);
-            rows.map(|row| {
-                if scalar { row[0] * UNOCCLUDED_SH0 } else { dot_padded(row, &s.visibility[..row.len()]) }
-            })
-        });
+        let tap_irradiance = if scalar {
+            taps.node.map(|node| self.tables.diffuse_rows(node).map(|row| row[0] * UNOCCLUDED_SH0))
+        } else {
+            irradiance_at(&self.tables.diffuse, &taps.node, &s.visibility[..self.tables.coefficients])
+        };
         let mut irradiance_raw = [0.0f32; 3];
         for k in 0..4 {
             (0..3).for_each(|c| irradiance_raw[c] += taps.weight[k] * tap_irradiance[k][c]);
@@ -76,11 +119,22 @@ impl SurfaceShader<'_> {
             if scalar && !self.is_open() { self.ambient_with_raw(&s.visibility, normal) } else { (1.0, 1.0) };
         let irradiance = irradiance_raw.map(|e| e.max(0.0) * ambient);
         let kd = (1.0 - s.metal) * INV_PI;
-        let radiance = std::array::from_fn(|c| s.albedo[c] * kd * (irradiance[c] + s.gathered[c]));
-        Lambert { radiance, normal, irradiance, irradiance_raw, tap_irradiance, taps, ambient, ambient_raw }
+        let radiance = std::array::from_fn(|c| s.albedo[c] * kd * (irradiance[c] + gathered[c]));
+        Lambert {
+            radiance,
+            normal,
+            gathered,
+            irradiance,
+            irradiance_raw,
+            tap_irradiance,
+            taps,
+            ambient,
+            ambient_raw,
+        }
     }
 
-    /// Chain rule through [`Self::lambert`]: adds to `out` and `tables`, returns the gradient by the unit normal.
+    /// Chain rule through [`Self::lambert`]: adds to `out` and `tables`, returns the gradient by the unit normal. The gradient by visibility
+    /// is complete only if `trains_visibility`.
     pub(super) fn lambert_backward(
         &self,
         s: &Surface,
@@ -88,13 +142,14 @@ impl SurfaceShader<'_> {
         g: [f32; 3],
         tables: &mut LightTables,
         out: &mut SurfaceGradient,
+        trains_visibility: bool,
     ) -> [f32; 3] {
         let kd = (1.0 - s.metal) * INV_PI;
         let scalar = self.is_scalar();
         let mut by_irradiance = [0.0f32; 3];
         let mut by_ambient = 0.0;
         for c in 0..3 {
-            let light = f.irradiance[c] + s.gathered[c];
+            let light = f.irradiance[c] + f.gathered[c];
             out.albedo[c] += g[c] * kd * light;
             out.metal -= g[c] * s.albedo[c] * INV_PI * light;
             let by_light = g[c] * s.albedo[c] * kd;
@@ -105,24 +160,21 @@ impl SurfaceShader<'_> {
             }
         }
         let mut by_normal = [0.0f32; 3];
-        let n = tables.coefficients;
+        let mut by_taps = [[0.0f32; 3]; 4];
         for k in 0..4 {
             let along = dot3(by_irradiance, f.tap_irradiance[k]);
             (0..3).for_each(|a| by_normal[a] += along * f.taps.gradient[k][a]);
-            let node = f.taps.node[k];
-            for c in 0..3 {
-                let w = f.taps.weight[k] * by_irradiance[c];
-                let base = (node * 3 + c) * n;
-                let row = &mut tables.diffuse[base..base + n];
-                if scalar {
-                    row[0] += w * UNOCCLUDED_SH0;
-                    continue;
-                }
-                let table = &self.tables.diffuse[base..base + n];
-                for j in 0..n {
-                    row[j] += w * s.visibility[j];
-                    out.visibility[j] += w * table[j];
-                }
+            by_taps[k] = by_irradiance.map(|g| f.taps.weight[k] * g);
+        }
+        let n = tables.coefficients;
+        if scalar {
+            for (node, by) in f.taps.node.iter().zip(by_taps) {
+                (0..3).for_each(|c| tables.diffuse[rows_at(*node, n) + c * n] += by[c] * UNOCCLUDED_SH0);
+            }
+        } else {
+            add_to_table(&mut tables.diffuse, &f.taps.node, &by_taps, &s.visibility[..n]);
+            if trains_visibility {
+                add_to_visibility(&self.tables.diffuse, &f.taps.node, &by_taps, &mut out.visibility[..n]);
             }
         }
         if scalar && !self.is_open() {

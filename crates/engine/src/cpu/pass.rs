@@ -18,8 +18,10 @@ use relume_scene::{Field, IndirectForm};
 
 /// Gaussians per task; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 512;
-/// Number of tasks that differentiate the shading, each with its own gradient of the light tables; fixed for the same reason.
+/// Largest number of tasks that differentiate the shading, each with its own gradient of the light tables, and least number of Gaussians
+/// of such a task; fixed for the same reason. A task of few Gaussians would spend its time on its copy of the tables, a quarter of a megabyte.
 const SHADING_TASKS: usize = 16;
+const SHADING_CHUNK: usize = 2048;
 
 /// A rasterised view: the G-buffer and everything its backward pass needs.
 #[derive(Debug, Clone)]
@@ -155,6 +157,10 @@ impl Pass {
                     };
                     absgrad[lane] = summed[ABSGRAD] * half_width;
                     visible[lane] = true;
+                    // Other splats hide this one; NaN is not equal to 0.
+                    if summed.iter().all(|g| *g == 0.0) {
+                        continue;
+                    }
                     self.geometry_backward(source, splat, summed, &layout, row);
                 }
             },
@@ -198,7 +204,17 @@ impl Pass {
             return;
         }
         let stored = self.channels.stored();
-        let chunk = self.splats.len().div_ceil(SHADING_TASKS).max(CHUNK);
+        let chunk = self.splats.len().div_ceil(SHADING_TASKS).max(SHADING_CHUNK);
+        let add = |splats: &[Splat], rows: &[f32], summed: &mut [f32], tables: &mut LightTables| {
+            let rows = rows.chunks_exact(stored).zip(summed.chunks_exact_mut(width));
+            for (splat, (row, by_row)) in splats.iter().zip(rows) {
+                let (header, by_row) = by_row.split_at_mut(ROW_HEADER);
+                source.light_backward(&self.view, splat, row, (&mut header[..2], by_row), tables);
+            }
+        };
+        if self.splats.len() <= chunk {
+            return add(&self.splats, &self.attributes, summed, by_tables);
+        }
         let splats = self.splats.par_chunks(chunk);
         let rows = self.attributes.par_chunks(chunk * stored);
         let partial: Vec<LightTables> = splats
@@ -206,11 +222,7 @@ impl Pass {
             .zip(summed.par_chunks_mut(chunk * width))
             .map(|((splats, rows), summed)| {
                 let mut tables = by_tables.zeroed();
-                let rows = rows.chunks_exact(stored).zip(summed.chunks_exact_mut(width));
-                for (splat, (row, by_row)) in splats.iter().zip(rows) {
-                    let (header, by_row) = by_row.split_at_mut(ROW_HEADER);
-                    source.light_backward(&self.view, splat, row, (&mut header[..2], by_row), &mut tables);
-                }
+                add(splats, rows, summed, &mut tables);
                 tables
             })
             .collect();

@@ -78,7 +78,8 @@ type Mat3 = [[f32; 3]; 3];
 pub fn normalise<const N: usize>(v: [f32; N]) -> ([f32; N], f32) {
     // f64 inside: squares of small components would underflow f32.
     let length = v.iter().map(|x| f64::from(*x) * f64::from(*x)).sum::<f64>().sqrt().max(1e-12);
-    (v.map(|x| (f64::from(x) / length) as f32), length as f32)
+    let inverse = 1.0 / length;
+    (v.map(|x| (f64::from(x) * inverse) as f32), length as f32)
 }
 
 /// Gradient through `v / |v|`, given the unit vector and the length.

@@ -26,8 +26,7 @@ pub struct Shaded {
     nov_inside: bool,
     reflection: [f32; 3],
     reflection_length: f32,
-    /// Irradiance of the dominant lights, which is added to the gathered irradiance.
-    direct: Option<[f32; 3]>,
+    has_direct: bool,
     lambert: Lambert,
     sheen: Sheen,
     share: DiffuseShare<f32>,
@@ -38,12 +37,6 @@ pub struct Shaded {
     visible: f32,
     visible_raw: f32,
     lut: LutSample<f32>,
-}
-
-/// `s` with the irradiance of dominant lights added to the gathered irradiance.
-fn lit(s: &Surface, direct: Option<[f32; 3]>) -> Surface {
-    let Some(direct) = direct else { return *s };
-    Surface { gathered: std::array::from_fn(|c| s.gathered[c] + direct[c]), ..*s }
 }
 
 impl Shaded {
@@ -67,7 +60,9 @@ impl SurfaceShader<'_> {
         let bent = std::array::from_fn(|k| 2.0 * nov * normal[k] - s.view[k]);
         let (reflection, reflection_length) = normalise(bent);
         let direct = self.direct(s, normal, nov);
-        let lambert = self.lambert(&lit(s, direct.map(|d| d.irradiance)), normal);
+        let from_lights = direct.map_or([0.0; 3], |d| d.irradiance);
+        let gathered = std::array::from_fn(|c| s.gathered[c] + from_lights[c]);
+        let lambert = self.lambert(s, gathered, normal);
         let sheen = Sheen::new(s.sheen, nov);
         // Specular: split sum, visibility through the lobe.
         let position = LevelPosition::of(s.rough);
@@ -107,7 +102,7 @@ impl SurfaceShader<'_> {
             nov_inside: nov_raw > MIN_NOV && nov_raw < 1.0,
             reflection,
             reflection_length,
-            direct: direct.map(|d| d.irradiance),
+            has_direct: direct.is_some(),
             lambert,
             position,
             level_taps,
@@ -147,20 +142,22 @@ impl SurfaceShader<'_> {
         (self.squash(raw), raw)
     }
 
-    /// Chain rule through [`Self::shade`]: `g` is the gradient by radiance. Table gradients are added to `tables`.
+    /// Chain rule through [`Self::shade`]: `g` is the gradient by radiance. Table gradients are added to `tables`. The gradient by visibility
+    /// is complete only if `trains_visibility`.
     pub fn shade_backward(
         &self,
         s: &Surface,
         f: &Shaded,
         g: [f32; 3],
         tables: &mut LightTables,
+        trains_visibility: bool,
     ) -> SurfaceGradient {
         let mut out = SurfaceGradient::zero();
         let (sheen, share) = (&f.sheen, &f.share);
         let by_gain = dot3(g, f.lambert.radiance);
         let by_diffuse = g.map(|v| v * (sheen.gain * share.value));
         let mut by_normal =
-            self.lambert_backward(&lit(s, f.direct), &f.lambert, by_diffuse, tables, &mut out);
+            self.lambert_backward(s, &f.lambert, by_diffuse, tables, &mut out, trains_visibility);
         out.sheen = by_gain * share.value * sheen.by_sheen;
         out.rough = by_gain * sheen.gain * share.by_roughness;
         let (mut by_nov, by_reflection) = self.specular_backward(s, f, g, tables, &mut out);
@@ -173,7 +170,7 @@ impl SurfaceShader<'_> {
             by_normal[k] += 2.0 * f.nov * by_bent[k];
             out.view[k] = -by_bent[k];
         }
-        if f.direct.is_some() {
+        if f.has_direct {
             let by_irradiance = out.gathered;
             let by = self.direct_backward(s, (f.normal, f.nov), (by_irradiance, g), tables, &mut out);
             (0..3).for_each(|k| by_normal[k] += by.normal[k]);

@@ -27,6 +27,37 @@ impl PlanEntry {
     }
 }
 
+/// Rows to copy; `rows` of `shaders/inherit_rows.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+struct InheritedRows {
+    n_values: u32,
+    width: u32,
+    old_start: u32,
+    new_start: u32,
+}
+
+/// A plan in device memory.
+pub struct UploadedPlan {
+    entries: Buffer<PlanEntry>,
+    /// Number of Gaussians of the old generation.
+    before: u32,
+}
+
+impl UploadedPlan {
+    /// Uploads a plan for `before` Gaussians.
+    ///
+    /// # Errors
+    /// When the device has no memory, or a source of the plan does not exist.
+    pub fn new(gpu: &Gpu, plan: &DensityPlan, before: u32) -> Result<Self, DeviceError> {
+        if let Some(planned) = plan.gaussians.iter().find(|p| p.source >= before) {
+            return Err(DeviceError::Misuse(format!("density: source {} of {before}", planned.source)));
+        }
+        let entries: Vec<PlanEntry> = plan.gaussians.iter().map(PlanEntry::new).collect();
+        Ok(Self { entries: gpu.upload("density plan", &entries)?, before })
+    }
+}
+
 /// Reads the signals of density control: 9 floats per Gaussian.
 ///
 /// # Errors
@@ -59,21 +90,18 @@ pub fn read_stats(gpu: &Gpu, stats: &Buffer<[f32; 2]>) -> Result<DensityStats, D
     Ok(DensityStats { absgrad, seen })
 }
 
-/// `old` after a round of density control, in new buffers; prototypes and light are shared with `old`. Gathered light, labels
-/// and statistics belong to the old Gaussians: the caller must measure or clear them.
+/// `old` after a round of density control, in new buffers; prototypes and light are shared with `old`. Measurements and statistics belong
+/// to the old Gaussians: the caller must inherit ([`inherit`]) or clear them.
 ///
 /// # Errors
-/// When the device has no memory for both, or a source of the plan does not exist.
+/// When the device has no memory for both.
 pub fn gather(
     recorder: &mut Recorder<'_>,
     old: &ModelBuffers,
-    plan: &DensityPlan,
+    plan: &UploadedPlan,
 ) -> Result<ModelBuffers, DeviceError> {
     let gpu = recorder.gpu();
-    if let Some(planned) = plan.gaussians.iter().find(|p| p.source >= old.layout.n) {
-        return Err(DeviceError::Misuse(format!("density: source {} of {}", planned.source, old.layout.n)));
-    }
-    let layout = old.layout.resized(plan.gaussians.len() as u32);
+    let layout = old.layout.resized(plan.entries.len() as u32);
     let floats = layout.floats();
     let out = ModelBuffers {
         layout,
@@ -82,12 +110,10 @@ pub fn gather(
         second: gpu.buffer("second moments", floats)?,
         ..old.clone()
     };
-    let entries: Vec<PlanEntry> = plan.gaussians.iter().map(PlanEntry::new).collect();
-    let entries = gpu.upload("density plan", &entries)?;
     let bindings = [
         uniform(&old.layout),
         uniform(&layout),
-        (&entries).into(),
+        (&plan.entries).into(),
         (&old.params).into(),
         (&old.first).into(),
         (&old.second).into(),
@@ -100,10 +126,37 @@ pub fn gather(
     Ok(out)
 }
 
+/// Measurements after a round of density control: each new Gaussian has those of its source. `old` has one block of rows for each of
+/// `widths`, a row of that many values for each Gaussian.
+///
+/// # Errors
+/// When the device has no memory for both.
+pub fn inherit(
+    recorder: &mut Recorder<'_>,
+    old: &Buffer<f32>,
+    widths: &[usize],
+    plan: &UploadedPlan,
+) -> Result<Buffer<f32>, DeviceError> {
+    let after = plan.entries.len();
+    let new = recorder.gpu().buffer("measurements", after * widths.iter().sum::<usize>())?;
+    let (mut old_start, mut new_start) = (0, 0);
+    recorder.stage("density");
+    for &width in widths {
+        let n_values = after as u32 * width as u32;
+        let rows = InheritedRows { n_values, width: width as u32, old_start, new_start };
+        let bindings = [uniform(&rows), (&plan.entries).into(), old.into(), (&new).into()];
+        recorder.dispatch(&shaders::INHERIT_ROWS, Groups::Linear(n_values as usize), &bindings);
+        old_start += plan.before * width as u32;
+        new_start += n_values;
+    }
+    Ok(new)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::cpu::rotation;
+    use crate::gpu::shaders::assert_layout;
     use crate::sigmoid;
     use relume_compare::{largest_difference, worst};
     use relume_scene::{EnvMap, Field, Gaussians, Model};
@@ -166,7 +219,8 @@ mod tests {
             let is_split = |i: u32| i.is_multiple_of(4);
             let plan = plan(&keep, is_split);
             let mut recorder = gpu.record();
-            let new = gather(&mut recorder, &old, &plan).unwrap();
+            let uploaded = UploadedPlan::new(&gpu, &plan, n as u32).unwrap();
+            let new = gather(&mut recorder, &old, &uploaded).unwrap();
             recorder.submit().unwrap();
 
             let seconds: Vec<u32> = keep.iter().copied().filter(|i| is_split(*i)).collect();
@@ -198,9 +252,35 @@ mod tests {
         let gpu = Gpu::for_tests();
         let old = ModelBuffers::upload(&gpu, &model(3)).unwrap();
         let mut recorder = gpu.record();
-        assert!(gather(&mut recorder, &old, &DensityPlan::default()).unwrap().is_empty());
-        assert!(gather(&mut recorder, &old, &plan(&[3], |_| false)).is_err());
+        let empty = UploadedPlan::new(&gpu, &DensityPlan::default(), 3).unwrap();
+        assert!(gather(&mut recorder, &old, &empty).unwrap().is_empty());
+        assert_eq!(
+            inherit(&mut recorder, &gpu.upload("rows", &[1.0; 3]).unwrap(), &[1], &empty).unwrap().len(),
+            0
+        );
+        assert!(UploadedPlan::new(&gpu, &plan(&[3], |_| false), 3).is_err());
         recorder.submit().unwrap();
+    }
+
+    #[test]
+    #[ignore = "needs a Vulkan, Metal or DX12 device (see CONTRIBUTING.md)"]
+    fn new_gaussians_have_the_measurements_of_their_sources() {
+        let gpu = Gpu::for_tests();
+        assert_layout!(InheritedRows as "InheritedRows" in shaders::INHERIT_ROWS; n_values, width, old_start, new_start);
+        for n in [1usize, 7, 300] {
+            let keep: Vec<u32> = (0..n as u32).filter(|i| i % 3 != 1).collect();
+            let plan = plan(&keep, |i| i.is_multiple_of(4));
+            let values: Vec<f32> = (0..n * 10).map(|v| v as f32).collect();
+            let old = gpu.upload("rows", &values).unwrap();
+            let uploaded = UploadedPlan::new(&gpu, &plan, n as u32).unwrap();
+            let mut recorder = gpu.record();
+            let new = inherit(&mut recorder, &old, &[6, 4], &uploaded).unwrap();
+            recorder.submit().unwrap();
+            let sources = || plan.gaussians.iter().map(|g| g.source as usize);
+            let six = sources().flat_map(|i| values[i * 6..(i + 1) * 6].to_vec());
+            let four = sources().flat_map(|i| values[n * 6 + i * 4..n * 6 + (i + 1) * 4].to_vec());
+            assert_eq!(gpu.read(&new, 0..new.len()).unwrap(), six.chain(four).collect::<Vec<_>>(), "{n}");
+        }
     }
 
     #[test]

@@ -145,8 +145,7 @@ impl ScheduleCost {
     /// Cost of the step at a position, with its events.
     pub fn with_events(&self, position: u32) -> f64 {
         self.step(position)
-            + self.measurements_before(position)
-            + self.measurements_after(position + 1)
+            + self.measurements(position)
             + self.restart(position)
             + self.comparison(position)
             + self.decisions(position + 1)
@@ -158,22 +157,13 @@ impl ScheduleCost {
     }
 
     /// Cost of the measurements before the step at a position.
-    pub fn measurements_before(&self, position: u32) -> f64 {
+    pub fn measurements(&self, position: u32) -> f64 {
         let Some(shaded) = self.shaded(position) else { return 0.0 };
         let count = match shaded {
             0 => 2,
             _ => u32::from(shaded.is_multiple_of(self.config.probe_every)),
         };
         f64::from(count) * self.measurement(position)
-    }
-
-    /// Cost of the measurement after a step that reaches a position, in a round of density control.
-    pub fn measurements_after(&self, position: u32) -> f64 {
-        let is_round = schedule::density_rounds(&self.config).contains(position);
-        match is_round && self.shaded(position).is_some_and(|shaded| shaded > 0) {
-            true => self.measurement(position),
-            false => 0.0,
-        }
     }
 
     /// Cost of a restart of the materials before the step at a position: a measurement, a search for lights, and a restart of the environment.
@@ -265,11 +255,8 @@ mod tests {
         let cost = ScheduleCost::new(&config, photographs, StepCost::RELATIVE);
         let at: Vec<u32> = (0..config.iterations).filter(|p| cost.restart(*p) > 0.0).collect();
         assert_eq!(at, [375 + 112, 375 + 337, 375 + 562]);
-        let measured: Vec<u32> =
-            (0..config.iterations).filter(|p| cost.measurements_before(*p) > 0.0).collect();
+        let measured: Vec<u32> = (0..config.iterations).filter(|p| cost.measurements(*p) > 0.0).collect();
         assert_eq!((measured[0], measured[1], measured.len()), (375, 500, 9));
-        let rounds: Vec<u32> = (0..config.iterations).filter(|p| cost.measurements_after(*p) > 0.0).collect();
-        assert_eq!((rounds[0], rounds[rounds.len() - 1]), (400, 900));
         assert!(cost.step(300) < cost.step(400), "radiance alone takes less");
         let compared: Vec<u32> = (0..config.iterations).filter(|p| cost.comparison(*p) > 0.0).collect();
         assert_eq!(compared, [375 + 225, 375 + 337, 375 + 450, 375 + 562, 1_200]);
@@ -294,7 +281,7 @@ mod tests {
             let step = StepCost { probes, ..StepCost::RELATIVE };
             let cost = ScheduleCost::new(&config, PhotographCost { count: 80.0, pixels: 1e5 }, step);
             let sum = |of: &dyn Fn(u32) -> f64| (0..config.iterations).map(of).sum::<f64>();
-            [sum(&|p| cost.measurements_before(p)), sum(&|p| cost.restart(p)), sum(&|p| cost.comparison(p))]
+            [sum(&|p| cost.measurements(p)), sum(&|p| cost.restart(p)), sum(&|p| cost.comparison(p))]
         };
         let [usual, slow_device, slow_host] = [
             at(Some(ProbeCost { device: PROBE, host: PROBE })),

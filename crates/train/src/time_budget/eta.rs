@@ -83,7 +83,7 @@ mod tests {
             // Density control does not reach its limit.
             let gaussians = low + 0.9 * (high - low) * grown.sqrt();
             let shading = if i < warm_up { 1.0 } else { 2.5 };
-            let is_round = i >= warm_up && i.is_multiple_of((config.iterations / 15).min(100));
+            let is_refreshed = i > warm_up && (i - warm_up).is_multiple_of(config.probe_every);
             // A search for lights and a restart of the environment.
             let lights = if config.is_albedo_round(i) { 220.0 } else { 0.0 };
             let compared = if config.is_exposure_round(i) { 35.0 } else { 0.0 };
@@ -91,7 +91,7 @@ mod tests {
             let decided = if i + 1 == config.iterations { 150.0 } else { 0.0 };
             let shaded = (shading + decided) * (0.3 * pixels + gaussians);
             // Materials begin with two measurements.
-            let measurements = 2.0 * f64::from(i == warm_up) + f64::from(is_round);
+            let measurements = 2.0 * f64::from(i == warm_up) + f64::from(is_refreshed);
             let measured = 0.47 * f64::from(config.probe_directions) * measurements;
             let probes = gaussians * (lights + compared + measured);
             let uneven = 1.0 + 0.3 * f64::from(i * 7919 % 11) / 10.0;

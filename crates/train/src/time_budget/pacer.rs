@@ -200,8 +200,7 @@ impl Pacer {
         let cost = &self.cost;
         Work {
             step: cost.step(timeline.position(step)),
-            measurement: before.clone().map(|p| cost.measurements_before(p)).sum::<f64>()
-                + after.clone().map(|p| cost.measurements_after(p)).sum::<f64>(),
+            measurement: before.clone().map(|p| cost.measurements(p)).sum(),
             restart: before.clone().map(|p| cost.restart(p)).sum(),
             comparison: before.map(|p| cost.comparison(p)).sum(),
             decision: after.map(|p| cost.decisions(p)).sum(),
@@ -270,9 +269,7 @@ fn left_from(cost: &ScheduleCost) -> Vec<Work> {
         let after = left[position as usize + 1];
         left[position as usize] = Work {
             step: after.step + cost.step(position),
-            measurement: after.measurement
-                + cost.measurements_before(position)
-                + cost.measurements_after(position + 1),
+            measurement: after.measurement + cost.measurements(position),
             restart: after.restart + cost.restart(position),
             comparison: after.comparison + cost.comparison(position),
             decision: after.decision + cost.decisions(position + 1),

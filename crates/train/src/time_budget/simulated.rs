@@ -57,10 +57,8 @@ fn end(machine: &Machine, budget: f64, plans_again: bool) -> (f64, Timeline) {
         let shading = if timeline.position(step) >= config.warm_up_steps() { 1.15 } else { 1.0 };
         let mut seconds = shading * truth.step(timeline.position(step));
         for p in timeline.covered(step) {
-            seconds +=
-                1.3 * truth.measurements_before(p) + 1.7 * truth.restart(p) + 1.4 * truth.comparison(p);
+            seconds += 1.3 * truth.measurements(p) + 1.7 * truth.restart(p) + 1.4 * truth.comparison(p);
         }
-        seconds += timeline.covered(step + 1).map(|p| 1.3 * truth.measurements_after(p)).sum::<f64>();
         // Most decisions follow the last step: if that were an outlier, no plan could make up for it.
         let decisions: f64 = timeline.covered(step + 1).map(|p| 1.2 * truth.decisions(p)).sum();
         now += seconds * (machine.busy)(now, step) + decisions * (machine.busy)(now, 0);

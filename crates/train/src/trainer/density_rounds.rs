@@ -28,10 +28,6 @@ impl Trainer {
         let _span = tracing::info_span!("density", budget).entered();
         let signals = self.engine.density_signals()?;
         self.engine.rebuild(&density::plan(&signals, budget, centres.as_deref()))?;
-        if position > self.config.warm_up_steps() && self.measures() {
-            // New Gaussians need their own labels and gathered light.
-            self.measure(1)?;
-        }
         Ok(())
     }
 

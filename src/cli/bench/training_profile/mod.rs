@@ -50,7 +50,23 @@ struct Moment {
     step: u32,
     seconds: f64,
     gaussians: usize,
+    /// Whether materials are trained.
+    is_relightable: bool,
     report: Report,
+}
+
+impl Moment {
+    fn novel_view(&self) -> Option<f64> {
+        self.report.novel_view.psnr
+    }
+
+    fn relit(&self) -> Option<f64> {
+        self.report.relit.mean.psnr.filter(|_| self.is_relightable)
+    }
+
+    fn relit_aligned(&self) -> Option<f64> {
+        self.report.relit_aligned.mean.psnr.filter(|_| self.is_relightable)
+    }
 }
 
 /// A measured training.
@@ -127,12 +143,18 @@ fn moment(
         ..EvalOptions::default()
     };
     let (step, gaussians) = (trainer.progress().step, model.gaussians.len());
-    Ok(Moment { step, seconds, gaussians, report: evaluate(Arc::new(model), capture, &options)? })
+    let report = evaluate(Arc::new(model), capture, &options)?;
+    Ok(Moment { step, seconds, gaussians, is_relightable: trainer.is_relightable(), report })
 }
 
 fn text(name: &str, profile: &Profile) -> String {
-    let mut text = format!("### {name}\n\n{:.1} s in steps.\n\n", profile.seconds);
-    text += &head(&["phase"], ["steps", "s", "ms per step", "share"]);
+    let heading = format!("### {name}\n\n{:.1} s in steps.\n\n", profile.seconds);
+    [heading, phases(profile), stages(profile), moments(profile)].concat()
+}
+
+/// Steps and seconds of each phase.
+fn phases(profile: &Profile) -> String {
+    let mut text = head(&["phase"], ["steps", "s", "ms per step", "share"]);
     for (phase, time) in &profile.phases {
         text += &row([
             phase.name().to_owned(),
@@ -142,8 +164,12 @@ fn text(name: &str, profile: &Profile) -> String {
             share(time.seconds, profile.seconds),
         ]);
     }
-    text += "\n";
-    text += &head(&["stage"], ["s", "share"]);
+    text + "\n"
+}
+
+/// Seconds of each stage, longest first.
+fn stages(profile: &Profile) -> String {
+    let mut text = head(&["stage"], ["s", "share"]);
     let mut stages: Vec<(&str, f64)> = profile.stages.iter().map(|(name, s)| (*name, *s)).collect();
     let other = profile.seconds - stages.iter().map(|(_, seconds)| seconds).sum::<f64>();
     stages.push(("other", other));
@@ -151,8 +177,12 @@ fn text(name: &str, profile: &Profile) -> String {
     for (name, seconds) in stages {
         text += &row([name.to_owned(), format!("{seconds:.2}"), share(seconds, profile.seconds)]);
     }
-    text += "\n";
-    text += &head(
+    text + "\n"
+}
+
+/// Accuracy along the way, and the gain per minute since the point before.
+fn moments(profile: &Profile) -> String {
+    let mut text = head(
         &["step"],
         [
             "s",
@@ -166,20 +196,19 @@ fn text(name: &str, profile: &Profile) -> String {
     );
     let mut before: Option<&Moment> = None;
     for moment in &profile.moments {
-        let r = &moment.report;
-        let gain = |value: fn(&Report) -> Option<f64>| {
-            let gained = before.and_then(|before| Some((value(r)? - value(&before.report)?, before.seconds)));
+        let gain = |value: fn(&Moment) -> Option<f64>| {
+            let gained = before.and_then(|before| Some((value(moment)? - value(before)?, before.seconds)));
             figure(gained.map(|(gained, since)| 60.0 * gained / (moment.seconds - since)), 2)
         };
         text += &row([
             moment.step.to_string(),
             format!("{:.1}", moment.seconds),
             moment.gaussians.to_string(),
-            figure(r.novel_view.psnr, 2),
-            figure(r.relit.mean.psnr, 2),
-            figure(r.relit_aligned.mean.psnr, 2),
-            gain(|r| r.novel_view.psnr),
-            gain(|r| r.relit_aligned.mean.psnr),
+            figure(moment.novel_view(), 2),
+            figure(moment.relit(), 2),
+            figure(moment.relit_aligned(), 2),
+            gain(Moment::novel_view),
+            gain(Moment::relit_aligned),
         ]);
         before = Some(moment);
     }
@@ -208,7 +237,7 @@ mod tests {
             ..TrainOverrides::default()
         };
         let config = TrainConfig::new(Preset::Draft, &overrides).unwrap();
-        let args = TimeCurveArgs { points: 3, views: 1, ..TimeCurveArgs::default() };
+        let args = TimeCurveArgs::with_points(3, 1);
         let profile = measure(&args, &synthetic(&options).unwrap(), config, &Device::Cpu).unwrap();
         let steps: Vec<u32> = profile.moments.iter().map(|moment| moment.step).collect();
         assert_eq!(steps, [8, 16, 24]);

@@ -213,11 +213,13 @@ impl training::TrainingEngine for GpuTraining {
     fn rebuild(&mut self, plan: &DensityPlan) -> Result<(), DeviceError> {
         self.check_finished()?;
         let mut recorder = self.gpu.record();
-        self.state.model = density::gather(&mut recorder, &self.state.model, plan)?;
-        self.state.density = self.gpu.buffer("density statistics", plan.gaussians.len())?;
+        let before = self.state.model.len();
+        let plan = density::UploadedPlan::new(&self.gpu, plan, self.state.model.layout.n)?;
+        self.state.model = density::gather(&mut recorder, &self.state.model, &plan)?;
+        self.state.measured.inherit(&mut recorder, before, &plan)?;
+        self.state.density = self.gpu.buffer("density statistics", self.state.model.len())?;
         recorder.clear(&self.state.density);
         recorder.submit()?;
-        self.state.measured.forget_values();
         Ok(())
     }
 

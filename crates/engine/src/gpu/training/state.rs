@@ -1,10 +1,10 @@
 //! State of a training in device memory.
 
-use crate::gpu::density::read_stats;
+use crate::gpu::density::{UploadedPlan, inherit, read_stats};
 use crate::gpu::gather::GATHERED;
 use crate::gpu::light::TrainingLight;
 use crate::gpu::model::{ModelBuffers, planar};
-use crate::gpu::{AttributeSource, Buffer, Gpu};
+use crate::gpu::{AttributeSource, Buffer, Gpu, Recorder};
 use crate::{DeviceError, Moments, PhotoLight, TrainState};
 use relume_scene::{IndirectForm, MAX_LIGHTS, Model};
 
@@ -21,10 +21,22 @@ pub(super) struct MeasuredBuffers {
 }
 
 impl MeasuredBuffers {
-    /// Drops the measurements of replaced Gaussians.
-    pub(super) fn forget_values(&mut self) {
-        self.labels = None;
-        self.gathered.clear();
+    /// Gives the Gaussians of the next generation the measurements of their sources among `before` Gaussians.
+    pub(super) fn inherit(
+        &mut self,
+        recorder: &mut Recorder<'_>,
+        before: usize,
+        plan: &UploadedPlan,
+    ) -> Result<(), DeviceError> {
+        if let Some(labels) = &mut self.labels {
+            *labels = inherit(recorder, labels, &[labels.len() / before.max(1)], plan)?;
+        }
+        for block in &mut self.gathered {
+            let arriving = block.len() / before.max(1) - GATHERED;
+            let widths = [GATHERED, arriving];
+            *block = inherit(recorder, block, if arriving == 0 { &widths[..1] } else { &widths }, plan)?;
+        }
+        Ok(())
     }
 }
 
