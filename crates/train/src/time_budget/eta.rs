@@ -85,7 +85,7 @@ mod tests {
             let shading = if i < warm_up { 1.0 } else { 2.5 };
             let is_refreshed = i > warm_up && (i - warm_up).is_multiple_of(config.probe_every);
             // A search for lights and a restart of the environment.
-            let lights = if config.is_albedo_round(i) { 220.0 } else { 0.0 };
+            let lights = if config.is_albedo_round(i) { 300.0 } else { 0.0 };
             let compared = if config.is_exposure_round(i) { 35.0 } else { 0.0 };
             // Images for the decisions on the complexity, as steps without shading.
             let decided = if i + 1 == config.iterations { 150.0 } else { 0.0 };
