@@ -23,6 +23,7 @@ use relume_scene::Camera;
 use relume_train::trust::{
     MAX_CANDIDATES, NextPhotograph, NextPhotographError, next_photographs, places_around,
 };
+use relume_train::up_of_card;
 
 /// Permitted numbers of places.
 const COUNTS: std::ops::RangeInclusive<u32> = 1..=1000;
@@ -41,8 +42,8 @@ pub(super) fn routes() -> OpenApiRouter<AppState> {
 /// Find places for further photographs
 ///
 /// Returns the places from which further photographs would help the model most, as `relume capture next` does: each
-/// shows surfaces of little confidence, far from the photographs so far. The answer takes some seconds. Omitted fields
-/// have their defaults; the body may be `{}`.
+/// shows surfaces of little confidence, far from the photographs so far. Omitted fields have their defaults; the body
+/// may be `{}`.
 #[utoipa::path(
     post, path = "/v1/models/{id}/next-photographs", tag = "models", request_body = NextPhotographsRequest,
     params(("id" = String, Path, description = "Model identifier")),
@@ -65,8 +66,7 @@ async fn find_next_photographs(
         return Err(Problem::invalid_field("/count", "must be 1 to 1000"));
     }
     let record = models::find(&app, &caller.tenant, &id).await?;
-    let up = models::world_of(&app, &caller.tenant, &id).await?;
-    let candidates = candidates(&request, up)?;
+    let candidates = candidates(&request, up_of_card(&record.card).map_err(Problem::internal)?)?;
     let (source, _) = models::source(&app, &caller.tenant, &id).await?;
     let ModelContent::File(file) = source.content else {
         return Err(Problem::internal("the model is not a file"));

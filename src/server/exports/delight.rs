@@ -10,10 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::server::app::AppState;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
-use crate::server::exports::frames::run_blocking;
-use crate::server::exports::work_folder::{
-    bytes_there, keep_only_files_of, record, remove_parts, write_whole,
-};
+use crate::server::exports::work_folder::{bytes_there, prepared, record, run_blocking, write_whole};
 use crate::server::exports::{model, splats, zip};
 use crate::server::memory::{MemoryPermit, export_bytes};
 use crate::server::problem::Problem;
@@ -96,13 +93,7 @@ pub(super) async fn make(
     token: &CancellationToken,
 ) -> Result<ExportedFile, ExportError> {
     let (source, sha256) = model::source(app, export, &[]).await?;
-    let folder = app.store.export_folder(&export.id);
-    let at = folder.clone();
-    let clean = move || {
-        keep_only_files_of(&at, &sha256)?;
-        Ok(remove_parts(&at)?)
-    };
-    run_blocking(clean).await?;
+    let folder = prepared(app, export, sha256).await?;
     let ModelContent::File(path) = &source.content else {
         return Err(ExportError::failed("the model is not a file"));
     };

@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 use crate::server::app::AppState;
 use crate::server::exports::export_error::{BusyRetry, ExportError};
 use crate::server::exports::plan::FramesPlan;
-use crate::server::exports::work_folder::keep_only_files_of;
+use crate::server::exports::work_folder::{prepared, run_blocking};
 use crate::server::exports::{model, splats, video, zip};
 use crate::server::memory::export_bytes;
 use crate::server::{models, renders};
@@ -37,9 +37,7 @@ pub(super) async fn make(
     let (source, sha256) = model::source(app, export, &spec.materials).await?;
     let plan = Arc::new(plan);
     let views = views(app, &plan, &export.tenant, &source).await?;
-    let folder = app.store.export_folder(&export.id);
-    let at = folder.clone();
-    run_blocking(move || Ok(keep_only_files_of(&at, &sha256)?)).await?;
+    let folder = prepared(app, export, sha256).await?;
     let (mut names, mut bytes) = (Vec::with_capacity(views.len()), 0);
     for (index, view) in views.iter().enumerate() {
         let name = frame_name(index, plan.format);
@@ -153,11 +151,4 @@ async fn package(
             Ok(ExportedFile { path, name: format!("{model}.mp4"), content_type: "video/mp4" })
         }
     }
-}
-
-/// Runs blocking work.
-pub(super) async fn run_blocking(
-    work: impl FnOnce() -> Result<(), ExportError> + Send + 'static,
-) -> Result<(), ExportError> {
-    tokio::task::spawn_blocking(work).await.map_err(std::io::Error::other)?
 }

@@ -9,11 +9,9 @@ use tokio_util::sync::CancellationToken;
 
 use crate::server::app::AppState;
 use crate::server::exports::export_error::ExportError;
-use crate::server::exports::frames::{frame_name, run_blocking};
+use crate::server::exports::frames::frame_name;
 use crate::server::exports::light::light;
-use crate::server::exports::work_folder::{
-    bytes_there, keep_only_files_of, record, remove_parts, write_whole,
-};
+use crate::server::exports::work_folder::{bytes_there, prepared, record, run_blocking, write_whole};
 use crate::server::exports::{model, plan, splats, zip};
 use crate::server::memory::light_matrix_bytes;
 use crate::server::models;
@@ -159,13 +157,7 @@ pub(super) async fn make(
     let up = models::world_of(app, &export.tenant, &export.model_id).await?;
     let plan = Arc::new(MatrixPlan::of(app, &export.tenant, spec, up).await?);
     let (source, sha256) = model::source(app, export, &spec.materials).await?;
-    let folder = app.store.export_folder(&export.id);
-    let at = folder.clone();
-    let clean = move || {
-        keep_only_files_of(&at, &sha256)?;
-        Ok(remove_parts(&at)?)
-    };
-    run_blocking(clean).await?;
+    let folder = prepared(app, export, sha256).await?;
     let width = plan.cameras.iter().map(|camera| camera.width).max().unwrap_or(0);
     let bytes_of = |size| light_matrix_bytes(size, spec.lobes, width);
     let files = plan.files();

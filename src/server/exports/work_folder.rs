@@ -14,8 +14,31 @@ const MODEL_NOTE: &str = "model";
 /// End of the names of files that are being written.
 const PART: &str = ".part";
 
+/// The work folder of an export of the model file with this hash, without unfinished files and without those of another model file.
+pub(super) async fn prepared(
+    app: &AppState,
+    export: &ExportRecord,
+    sha256: String,
+) -> Result<PathBuf, ExportError> {
+    let folder = app.store.export_folder(&export.id);
+    let at = folder.clone();
+    let clean = move || {
+        keep_only_files_of(&at, &sha256)?;
+        Ok(remove_parts(&at)?)
+    };
+    run_blocking(clean).await?;
+    Ok(folder)
+}
+
+/// Runs blocking work.
+pub(super) async fn run_blocking(
+    work: impl FnOnce() -> Result<(), ExportError> + Send + 'static,
+) -> Result<(), ExportError> {
+    tokio::task::spawn_blocking(work).await.map_err(std::io::Error::other)?
+}
+
 /// Creates the work folder. Files of a model that was replaced since are removed from it.
-pub(super) fn keep_only_files_of(folder: &Path, sha256: &str) -> std::io::Result<()> {
+fn keep_only_files_of(folder: &Path, sha256: &str) -> std::io::Result<()> {
     let note = folder.join(MODEL_NOTE);
     if std::fs::read_to_string(&note).is_ok_and(|noted| noted == sha256) {
         return Ok(());
@@ -28,7 +51,7 @@ pub(super) fn keep_only_files_of(folder: &Path, sha256: &str) -> std::io::Result
 }
 
 /// Removes the unfinished files of an earlier attempt.
-pub(super) fn remove_parts(folder: &Path) -> std::io::Result<()> {
+fn remove_parts(folder: &Path) -> std::io::Result<()> {
     for entry in std::fs::read_dir(folder)? {
         let entry = entry?;
         if entry.file_name().to_string_lossy().ends_with(PART) {

@@ -16,7 +16,7 @@ pub enum DelightKind {
 /// Albedo, shading, shadow and specular layers of the photographs of the model's capture, as from `relume delight`:
 /// a zip with one `.exr` for each photograph, or with a folder of PNG files for each layer. The capture must exist.
 ///
-/// A photograph takes about 2 s for a million pixels on two cores. An EXR has at most 32 bytes for each pixel.
+/// An EXR has at most 32 bytes for each pixel, and a header.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DelightExport {
