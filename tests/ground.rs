@@ -95,6 +95,8 @@ fn render_refuses_a_ground_that_no_output_shows() {
         (&["--light-matrix", "8", "--lamp", "point position=0,0,1 intensity=1", "--out", "o.exr"], "--lamp"),
         (&["--ground-height", "nan", "--output", "shadow"], "ground-height"),
         (&["--output", "position", "--out", "o.png"], "position"),
+        (&["--output", "cryptomatte", "--out", "o.png"], "cryptomatte"),
+        (&["--output", "motion", "--out", "o.exr"], "--output motion"),
         (&["--light-matrix", "8", "--ground-height", "0", "--out", "o.exr"], "--ground-height"),
     ] {
         let ended = relume(at, arguments);
@@ -140,6 +142,8 @@ async fn service_renders_ground_and_lamps_and_names_faults() {
         (RenderRequest { tier: Tier::High, width: 4096, height: 4096, ..lit(vec![bulb.clone()]) }, "/lamps"),
         (request(&[Output::Rgb], Some(0.0)), "/ground_height"),
         (request(&[Output::Position], None), "/outputs"),
+        (request(&[Output::MaterialId], None), "/outputs"),
+        (request(&[Output::Motion], None), "/outputs"),
     ] {
         match of(request, FrameFormat::Png).await {
             Err(ClientError::Problem(problem)) => {
@@ -151,7 +155,7 @@ async fn service_renders_ground_and_lamps_and_names_faults() {
 
     let frames = FramesExport {
         format: FrameFormat::Exr,
-        outputs: vec![Output::Rgb, Output::Shadow],
+        outputs: vec![Output::Rgb, Output::Shadow, Output::Motion, Output::MaterialId, Output::Cryptomatte],
         lamps: vec![bulb.clone()],
         ground_height: Some(-1.0),
         width: Some(16),
@@ -168,7 +172,8 @@ async fn service_renders_ground_and_lamps_and_names_faults() {
     assert_eq!(ended.state, ExportState::Succeeded, "{ended:?}");
     let zip = client.export_file(&made.id).await.unwrap();
     let text = String::from_utf8_lossy(&zip);
-    assert!(
-        text.contains("relume:lamps") && text.contains("relume:ground_height") && text.contains("shadow.R")
-    );
+    let named = ["relume:lamps", "relume:ground_height", "shadow.R", "backward.v", "material_id.Y"];
+    assert!(named.iter().all(|name| text.contains(name)));
+    assert!(text.contains("CryptoMaterial02.A") && text.contains("\"material_"), "with a manifest");
+    assert!(!text.contains("confidence.Y"), "the control");
 }

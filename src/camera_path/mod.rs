@@ -59,7 +59,7 @@ pub fn path_views(
 
 /// The view of a photograph.
 pub fn photo_view(photo: &PhotoCamera) -> FrameView {
-    FrameView { camera: photo.camera, light_rotation_deg: photo.light_rotation_deg }
+    FrameView::new(photo.camera, photo.light_rotation_deg)
 }
 
 fn own(json: &Value, otherwise: (u32, u32)) -> Result<Vec<FrameView>, FieldError> {
@@ -74,7 +74,7 @@ fn own(json: &Value, otherwise: (u32, u32)) -> Result<Vec<FrameView>, FieldError
         if !entry.light_rotation_deg.is_finite() {
             return Err(refused(format!("/cameras/{i}/light_rotation_deg"), "must be finite"));
         }
-        Ok(FrameView { camera, light_rotation_deg: entry.light_rotation_deg })
+        Ok(FrameView::new(camera, entry.light_rotation_deg))
     };
     file.cameras.iter().enumerate().map(view).collect()
 }

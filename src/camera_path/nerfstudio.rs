@@ -90,7 +90,7 @@ impl PathEntry {
         let centre = (0.5 * f64::from(size.0), 0.5 * f64::from(size.1));
         let camera = Camera::from_opengl(&pose, size, (focal, focal), centre);
         let camera = camera.map_err(|error| bad_pose(error.reason))?;
-        Ok(FrameView { camera, light_rotation_deg: 0.0 })
+        Ok(FrameView::new(camera, 0.0))
     }
 }
 

@@ -27,7 +27,7 @@ use relume_spec::training::GreyCard;
 use relume_train::calibration::{
     CalibrationError, calibrate_finished, patch_albedo, total_scale, undo_calibration,
 };
-use relume_train::render::Viewpoint;
+use relume_train::render::{Neighbours, Viewpoint};
 use relume_train::up_of_card;
 
 /// The routes of this file.
@@ -172,6 +172,7 @@ async fn albedo(
         outputs: vec![Output::Albedo],
         ground_height: None,
         lamps: Vec::new(),
+        neighbours: Neighbours::default(),
     };
     let _memory = app.memory.reserve(frame_bytes(task.pixels(), &task.outputs, false)).await?;
     Ok(patch_albedo(&app.device.render(task).await?.answer))

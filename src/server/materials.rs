@@ -22,7 +22,7 @@ use relume_capture::formats::model_file;
 use relume_scene::srgb;
 use relume_spec::rendering::{Colour, FrameFormat, MAX_MATERIAL_EDITS, MaterialEdit, Output, Tier};
 use relume_train::palette::{Material, materials};
-use relume_train::render::{EncodeOptions, Viewpoint};
+use relume_train::render::{EncodeOptions, Neighbours, Viewpoint};
 
 /// The routes that return lists.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
@@ -114,6 +114,7 @@ async fn material_mask(
         outputs: vec![Output::Albedo],
         ground_height: None,
         lamps: Vec::new(),
+        neighbours: Neighbours::default(),
     };
     let picture = renders::render_frame(&app, task, FrameFormat::Png, EncodeOptions::default()).await?;
     Ok(renders::respond(picture, FrameFormat::Png))

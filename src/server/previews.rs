@@ -21,7 +21,7 @@ use crate::worker::{LightSource, ModelContent, ModelSource, Preview, RenderTask}
 use relume_api::jobs::{JobState, JobView};
 use relume_api::{JobId, ModelId};
 use relume_spec::rendering::{FrameFormat, Output, Tier};
-use relume_train::render::{EncodeOptions, Orbit, Viewpoint};
+use relume_train::render::{EncodeOptions, Neighbours, Orbit, Viewpoint};
 
 /// `Retry-After` for a preview that is being made, seconds.
 const SOON: u32 = 2;
@@ -139,6 +139,7 @@ fn task(id: &JobId, preview: &Preview, orbit: Orbit) -> RenderTask {
         outputs: vec![output],
         ground_height: None,
         lamps: Vec::new(),
+        neighbours: Neighbours::default(),
     }
 }
 

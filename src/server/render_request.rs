@@ -60,13 +60,24 @@ pub(super) fn check_outputs(outputs: &[Output], format: FrameFormat) -> Result<(
     }
 }
 
+/// Refuses outputs of single frames that only sequences have.
+pub(super) fn check_single(outputs: &[Output]) -> Result<(), Problem> {
+    match outputs.contains(&Output::Motion) {
+        true => {
+            let why = "motion needs a sequence; request an export of frames with a path or a turntable";
+            Err(Problem::invalid_field("/outputs", why))
+        }
+        false => Ok(()),
+    }
+}
+
 /// Refuses a height of the ground without outputs of the ground, or one that is not finite.
 pub(super) fn check_ground(height: Option<f64>, outputs: &[Output]) -> Result<(), Problem> {
     let refuse = |why: &str| Err(Problem::invalid_field("/ground_height", why));
     match height {
         Some(height) if !height.is_finite() => refuse("must be finite"),
         Some(_) if !outputs.iter().any(|output| output.is_of_ground()) => {
-            refuse("applies to the outputs shadow, bounce and contact; add one of them to outputs")
+            refuse("applies to the outputs shadow, shadow_key, shadow_fill, bounce and contact; add one of them to outputs")
         }
         _ => Ok(()),
     }

@@ -20,7 +20,7 @@ use relume_api::ModelId;
 use relume_api::renders::RenderRequest;
 use relume_scene::Camera;
 use relume_spec::rendering::{Background, FrameFormat};
-use relume_train::render::{EncodeOptions, EncodedFrame, FrameMetadata, Viewpoint};
+use relume_train::render::{EncodeOptions, EncodedFrame, FrameMetadata, Neighbours, Viewpoint};
 
 /// Maximum bytes of a body: a 2k map in Base64 and the other fields.
 const BODY_LIMIT: usize = 64 << 20;
@@ -65,6 +65,7 @@ async fn render(
 ) -> Result<Response, Problem> {
     let format = negotiate::frame_format(&headers)?;
     render_request::check_outputs(&request.outputs, format)?;
+    render_request::check_single(&request.outputs)?;
     let encoding = render_request::finish(&request, format)?;
     render_request::check_ground(request.ground_height, &request.outputs)?;
     let size = (request.width, request.height);
@@ -87,6 +88,7 @@ async fn render(
         outputs: request.outputs,
         ground_height: request.ground_height,
         lamps: request.lamps,
+        neighbours: Neighbours::default(),
     };
     let encoding = EncodeOptions { frame_metadata: notes(&task, Some(camera)), ..encoding };
     let views = models::photographed_views(&app, &caller.tenant, &id).await?;

@@ -21,7 +21,7 @@ use crate::store::hex;
 use crate::worker::{LightSource, RenderTask};
 use relume_api::{ModelId, TenantId};
 use relume_spec::rendering::{Background, FrameFormat, Output, Tier, ToneCurve};
-use relume_train::render::{EncodeOptions, Orbit, Viewpoint};
+use relume_train::render::{EncodeOptions, Neighbours, Orbit, Viewpoint};
 
 /// The routes of this file.
 pub(super) fn routes() -> OpenApiRouter<AppState> {
@@ -112,6 +112,7 @@ async fn thumbnail(
             outputs,
             ground_height: None,
             lamps: Vec::new(),
+            neighbours: Neighbours::default(),
         };
         let picture = ThumbnailRequest { tenant: &caller.tenant, digest: &digest, format };
         found_or_rendered(&app, task, encoding, &picture).await?

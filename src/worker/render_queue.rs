@@ -153,7 +153,7 @@ mod tests {
     use crate::worker::queued::Queued;
     use crate::worker::{LightSource, LightTask, ModelContent, ModelSource, RenderTask};
     use relume_spec::rendering::{Output, Tier};
-    use relume_train::render::{Orbit, Viewpoint};
+    use relume_train::render::{Neighbours, Orbit, Viewpoint};
 
     fn task(size: u32, tier: Tier) -> RenderTask {
         RenderTask {
@@ -167,6 +167,7 @@ mod tests {
             outputs: vec![Output::Rgb],
             ground_height: None,
             lamps: Vec::new(),
+            neighbours: Neighbours::default(),
         }
     }
 

@@ -46,12 +46,13 @@ pub struct RenderRequest {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub seed: Option<u64>,
     /// Outputs, each at most once: `rgb`, `albedo`, `normal`, `metallic`, `roughness`, `visibility`, `depth`,
-    /// `alpha`, `diffuse`, `specular`, `radiance`, `position` (EXR only), `confidence`, and those of the ground below the model: `shadow`,
-    /// `bounce` and `contact`. PNG and JPEG hold one output, EXR holds all. Omitted: `["rgb"]`.
+    /// `alpha`, `diffuse`, `specular`, `radiance`, `confidence`, those of the ground below the model: `shadow`,
+    /// `shadow_key`, `shadow_fill`, `bounce` and `contact`,
+    /// and those that need EXR: `position`, `material_id`, `cryptomatte` and, in exports of frames, `motion`. PNG and JPEG hold one output, EXR holds all. Omitted: `["rgb"]`.
     #[serde(default = "rgb_only")]
     #[schema(value_type = Vec<String>, example = json!(["rgb"]))]
     pub outputs: Vec<Output>,
-    /// Height (z) of the ground for the outputs `shadow`, `bounce` and `contact`, units of the capture. Omitted: the lowest visible
+    /// Height (z) of the ground for the outputs of the ground, units of the capture. Omitted: the lowest visible
     /// point of the model.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub ground_height: Option<f64>,

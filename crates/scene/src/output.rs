@@ -39,8 +39,19 @@ pub enum Output {
     Bounce,
     /// Ambient occlusion of the ground by the model, 1 = open (1).
     Contact,
+    /// The part of `shadow` that is light of the strong small lights; `shadow` is the sum of this plane and `shadow_fill` (3).
+    ShadowKey,
+    /// The part of `shadow` that is light of the rest of the map (3).
+    ShadowFill,
     /// Confidence in the materials of the surface, 0 to 1; 0 in empty pixels (1).
     Confidence,
+    /// Where the point of the surface is in the next and in the previous frame of a sequence, pixels to the right and upwards from
+    /// where it is in this one; zero in empty pixels (4).
+    Motion,
+    /// Number of the material of which the surface has most; -1 in empty pixels (1).
+    MaterialId,
+    /// Identifier and coverage of up to six materials, in the order of coverage, as Cryptomatte stores them (12).
+    Cryptomatte,
 }
 
 impl Output {
@@ -48,19 +59,32 @@ impl Output {
     pub fn channels(self) -> usize {
         match self {
             Self::Rgb | Self::Albedo | Self::Normal | Self::Diffuse | Self::Specular | Self::Radiance => 3,
-            Self::Position | Self::Shadow | Self::Bounce => 3,
+            Self::Position | Self::Shadow | Self::ShadowKey | Self::ShadowFill | Self::Bounce => 3,
             Self::Metallic
             | Self::Roughness
             | Self::Visibility
             | Self::Depth
             | Self::Alpha
             | Self::Contact
-            | Self::Confidence => 1,
+            | Self::Confidence
+            | Self::MaterialId => 1,
+            Self::Motion => 4,
+            Self::Cryptomatte => 12,
         }
+    }
+
+    /// Whether only EXR can store this plane: coordinates, identifiers, and planes of more than three channels.
+    pub fn is_exr_only(self) -> bool {
+        matches!(self, Self::Position | Self::Motion | Self::MaterialId | Self::Cryptomatte)
+    }
+
+    /// Whether this plane shows the materials of the model.
+    pub fn is_of_materials(self) -> bool {
+        matches!(self, Self::MaterialId | Self::Cryptomatte)
     }
 
     /// Whether the ground below the model has this plane, and not the model.
     pub fn is_of_ground(self) -> bool {
-        matches!(self, Self::Shadow | Self::Bounce | Self::Contact)
+        matches!(self, Self::Shadow | Self::ShadowKey | Self::ShadowFill | Self::Bounce | Self::Contact)
     }
 }

@@ -94,6 +94,24 @@ fn sun_casts_a_shadow_that_an_even_sky_does_not_cast() {
 }
 
 #[test]
+fn parts_of_the_shadow_are_those_of_sun_and_sky() {
+    let outputs = [Output::Shadow, Output::ShadowKey, Output::ShadowFill];
+    let light = EnvMap::from_fn(64, 32, |d| sun().sample(d).map(|v| v + 0.3));
+    let frame = rendered(&renderer(), light, &above(SIZE), &outputs, Some(2.99));
+    let [all, key, fill] = outputs.map(|output| frame.planes[&output].clone());
+    let sums: Vec<f32> = key.iter().zip(&fill).map(|(key, fill)| key + fill).collect();
+    let apart = all.iter().zip(&sums).map(|(all, sum)| (all - sum).abs()).fold(0.0, f32::max);
+    assert!(apart < 1e-5, "{apart}");
+    let depth = |plane: &[f32]| {
+        let most = plane.iter().copied().fold(0.0, f32::max);
+        plane.iter().copied().fold(f32::INFINITY, f32::min) / most
+    };
+    assert!(depth(&key) < 0.1, "the sun is blocked: {}", depth(&key));
+    assert!(depth(&fill) > 0.2, "the sky is not: {}", depth(&fill));
+    assert!(mean(&frame, Output::ShadowKey) > 0.1 && mean(&frame, Output::ShadowFill) > 0.1);
+}
+
+#[test]
 fn frames_have_the_same_bytes_for_any_number_of_threads() {
     let renderer = renderer();
     let light = renderer.prepare_light(sun()).unwrap();

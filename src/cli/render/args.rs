@@ -42,7 +42,7 @@ pub(in crate::cli) struct RenderArgs {
     /// without materials `radiance`.
     #[arg(long, value_delimiter = ',', value_parser = named::<Output>)]
     pub(super) output: Vec<Output>,
-    /// Height (z) of the ground for the outputs `shadow`, `bounce` and `contact`, units of the capture. Default: the lowest visible point of the model.
+    /// Height (z) of the ground for the outputs `shadow`, `shadow_key`, `shadow_fill`, `bounce` and `contact`, units of the capture. Default: the lowest visible point of the model.
     #[arg(long, value_name = "Z", allow_negative_numbers = true, value_parser = finite)]
     pub(super) ground_height: Option<f64>,
     /// Background: `transparent` (white in a JPEG), `environment` or a colour such as `f4f4f4`.
@@ -94,10 +94,10 @@ impl RenderArgs {
 
     /// The requested outputs. Refuses outputs that `model` does not have.
     pub(super) fn outputs(&self, model: &Model) -> Result<Vec<Output>, String> {
-        use Output::{Alpha, Contact, Depth, Normal, Position, Radiance, Rgb};
+        use Output::{Alpha, Contact, Depth, Motion, Normal, Position, Radiance, Rgb};
         if self.ground_height.is_some() && !self.output.iter().any(|output| output.is_of_ground()) {
             return Err(
-                "--ground-height: applies to the outputs shadow, bounce and contact; add --output".to_owned()
+                "--ground-height: applies to the outputs shadow, shadow_key, shadow_fill, bounce and contact; add --output".to_owned()
             );
         }
         let relightable = model.has_materials();
@@ -110,11 +110,11 @@ impl RenderArgs {
         if self.output.is_empty() {
             return Ok(vec![if relightable { Rgb } else { Radiance }]);
         }
-        let of_any = |o: &Output| matches!(o, Radiance | Alpha | Depth | Normal | Position | Contact);
+        let of_any = |o: &Output| matches!(o, Radiance | Alpha | Depth | Normal | Position | Contact | Motion);
         match relightable || self.output.iter().all(of_any) {
             true => Ok(self.output.clone()),
             false => Err(
-                "--output: the model has no materials; only radiance, normal, depth, position, contact and alpha are available"
+                "--output: the model has no materials; only radiance, normal, depth, position, motion, contact and alpha are available"
                     .to_owned(),
             ),
         }

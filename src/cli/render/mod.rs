@@ -15,7 +15,7 @@ use std::path::Path;
 use crate::cli::error::CommandResult;
 use crate::cli::output;
 use relume_scene::Model;
-use relume_spec::rendering::FrameFormat;
+use relume_spec::rendering::{FrameFormat, Output};
 use relume_train::render::{FrameView, RotatedLight};
 use relume_train::up_of_card;
 
@@ -66,6 +66,7 @@ fn numbering(args: &RenderArgs) -> Result<Option<Numbering>, String> {
         ("--frames", args.sequence.frames.is_some()),
         ("--start-number", args.sequence.start_number != 1),
         ("--path-world", args.cameras.path_world.is_some()),
+        ("--output motion", args.output.contains(&Output::Motion)),
     ];
     match alone.into_iter().find(|(_, is_given)| *is_given && !is_sequence) {
         Some((option, _)) => {

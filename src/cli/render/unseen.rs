@@ -55,7 +55,7 @@ mod tests {
     fn view(azimuth_deg: f64) -> FrameView {
         let eye = DVec3::ONE + 5.0 * direction_of(azimuth_deg, 0.0);
         let camera = Camera::look_at(eye, DVec3::ONE, DVec3::Z, 0.7, (8, 8)).unwrap();
-        FrameView { camera, light_rotation_deg: 0.0 }
+        FrameView::new(camera, 0.0)
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use super::args::CameraArgs;
 use crate::cli::error::CommandResult;
 use relume_scene::Model;
-use relume_train::render::{FrameView, Turntable, orbit_camera, rotate_light};
+use relume_train::render::{FrameView, Turntable, linked, orbit_camera, rotate_light};
 
 /// The views of the frames, in order: cameras of a file, a turntable or a single image.
 pub(super) fn views(
@@ -21,9 +21,9 @@ pub(super) fn views(
         }
         (None, None) => {
             let camera = orbit_camera(model, args.azimuth, args.elevation, size)?;
-            vec![FrameView { camera, light_rotation_deg: 0.0 }]
+            vec![FrameView::new(camera, 0.0)]
         }
     };
     rotate_light(&mut views, args.env_turn);
-    Ok(views)
+    Ok(linked(views))
 }

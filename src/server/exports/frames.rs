@@ -104,6 +104,7 @@ async fn frame(
         outputs: spec.outputs.clone(),
         ground_height: spec.ground_height,
         lamps: spec.lamps.clone(),
+        neighbours: view.neighbours,
     };
     let mut frame_metadata = renders::notes(&task, Some(view.camera));
     frame_metadata.frames_per_second = spec.frames_per_second;

@@ -16,7 +16,7 @@ use relume_api::{NerfstudioWorld, TenantId};
 use relume_capture::Up;
 use relume_scene::Model;
 use relume_spec::rendering::{Background, FrameFormat, Quality, ToneCurve, is_colour};
-use relume_train::render::{EncodeOptions, FrameMetadata, FrameView, Turntable, resized, rotate_light};
+use relume_train::render::{EncodeOptions, FrameMetadata, FrameView, Turntable, linked, resized, rotate_light};
 
 /// Maximum number of frames of an export.
 const MOST_FRAMES: usize = 10_000;
@@ -108,7 +108,7 @@ impl FramesPlan {
 
     fn turned(&self, mut views: Vec<FrameView>) -> Vec<FrameView> {
         rotate_light(&mut views, self.environment_turn_deg);
-        views
+        linked(views)
     }
 }
 

@@ -18,7 +18,7 @@ use relume_engine::{Device, DeviceError};
 use relume_scene::{Camera, Model};
 use relume_spec::rendering::{Lamp, MaterialEdit, Output, Quality};
 use relume_train::palette::{EditError, edited, mask};
-use relume_train::render::{Frame, PreparedLight, RenderError, Renderer, Viewpoint};
+use relume_train::render::{Frame, Neighbours, PreparedLight, RenderError, Renderer, Viewpoint};
 
 /// Why no frame was rendered.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -162,6 +162,8 @@ pub struct RenderTask {
     pub ground_height: Option<f64>,
     /// Lamps beside the light. The exposure does not change them.
     pub lamps: Vec<Lamp>,
+    /// The cameras before and after this one in a sequence.
+    pub neighbours: Neighbours,
 }
 
 /// A light to prepare for a model, for shading in a viewer.
@@ -348,7 +350,8 @@ impl RenderScene {
         let _span = tracing::info_span!("draw", tier = task.quality.tier.name()).entered();
         let LitModel { renderer, light } = &self.lit;
         let bands = renderer.bands(&self.camera, light, task.quality, &task.outputs)?;
-        let mut bands = bands.on_ground(task.ground_height).with_lamps(lamps_before_exposure(task));
+        let bands = bands.on_ground(task.ground_height).between(task.neighbours);
+        let mut bands = bands.with_lamps(lamps_before_exposure(task));
         while bands.render_next()? {
             between()?;
         }

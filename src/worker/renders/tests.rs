@@ -35,6 +35,7 @@ fn task(model: &ModelSource, tier: Tier, exposure_ev: f64) -> RenderTask {
         outputs: vec![Output::Rgb, Output::Diffuse, Output::Specular, Output::Albedo, Output::Depth],
         ground_height: None,
         lamps: Vec::new(),
+        neighbours: Neighbours::default(),
     }
 }
 

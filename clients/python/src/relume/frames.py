@@ -27,14 +27,19 @@ _CHANNELS = {
     "visibility": ("visibility.Y",),
     "position": ("P.X", "P.Y", "P.Z"),
     "shadow": ("shadow.R", "shadow.G", "shadow.B"),
+    "shadow_key": ("shadow_key.R", "shadow_key.G", "shadow_key.B"),
+    "shadow_fill": ("shadow_fill.R", "shadow_fill.G", "shadow_fill.B"),
     "bounce": ("bounce.R", "bounce.G", "bounce.B"),
     "contact": ("contact.Y",),
     "confidence": ("confidence.Y",),
+    "motion": ("forward.u", "forward.v", "backward.u", "backward.v"),
+    "material_id": ("material_id.Y",),
+    "cryptomatte": tuple(f"CryptoMaterial{layer:02}.{channel}" for layer in range(3) for channel in "RGBA"),
 }
 
 
 class Frame(Mapping[str, Plane]):
-    """The outputs of a frame by name, as float32 arrays of height x width (x 3).
+    """The outputs of a frame by name, as float32 arrays of height x width (x channels).
 
     Colours are linear Rec.709 and premultiplied by `alpha`, albedo is not; normals are unit vectors of the capture's axes; depth is
     along the camera's axis in units of the capture, infinite where nothing is.

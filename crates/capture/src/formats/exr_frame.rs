@@ -27,8 +27,19 @@ pub struct FrameLayer<'a> {
     pub name: &'a str,
     /// One letter per channel, e.g. `RGBA`, `XYZ`, `Y`.
     pub suffixes: &'a str,
-    /// Row-major, `suffixes.len()` floats per pixel.
+    /// Row-major, `per_pixel` floats per pixel.
     pub values: &'a [f32],
+    /// Index of the first channel among the floats of a pixel.
+    pub first: usize,
+    /// Floats per pixel, at least `first` plus the number of channels.
+    pub per_pixel: usize,
+}
+
+impl<'a> FrameLayer<'a> {
+    /// A layer with all of `values`, which have one float per pixel for each letter of `suffixes`.
+    pub fn new(name: &'a str, suffixes: &'a str, values: &'a [f32]) -> Self {
+        Self { name, suffixes, values, first: 0, per_pixel: suffixes.len() }
+    }
 }
 
 /// A frame to write.
@@ -182,12 +193,13 @@ fn part<'a>(
 ) -> Result<ExrPart<'a>, ImageFileError> {
     let mut channels = Vec::new();
     for layer in content {
-        let step = layer.suffixes.len();
-        if step == 0 || layer.values.len() != size(frame).area() * step || layer.values.is_empty() {
+        let step = layer.per_pixel;
+        let has_channels = !layer.suffixes.is_empty() && layer.first + layer.suffixes.len() <= step;
+        if !has_channels || layer.values.len() != size(frame).area() * step || layer.values.is_empty() {
             let reason = format!("layer {:?} does not fill {}x{}", layer.name, frame.width, frame.height);
             return Err(ImageFileError::Encode(reason));
         }
-        for (first, suffix) in layer.suffixes.chars().enumerate() {
+        for (first, suffix) in (layer.first..).zip(layer.suffixes.chars()) {
             let name = text(&channel_name(layer.name, suffix))?;
             let is_distance = layer.name.is_empty() && suffix == 'Z';
             channels.push(ExrChannel { name, values: layer.values, first, step, depth, is_distance });
@@ -267,14 +279,14 @@ mod tests {
             width: 3,
             height: 2,
             colour: &[
-                FrameLayer { name: "", suffixes: "RGBA", values: &rgba },
-                FrameLayer { name: "albedo", suffixes: "RGB", values: &albedo },
+                FrameLayer::new("", "RGBA", &rgba),
+                FrameLayer::new("albedo", "RGB", &albedo),
             ],
             primaries,
             data: &[
-                FrameLayer { name: "", suffixes: "Z", values: &z },
-                FrameLayer { name: "N", suffixes: "XYZ", values: &normal },
-                FrameLayer { name: "roughness", suffixes: "Y", values: &[0.25; 6] },
+                FrameLayer::new("", "Z", &z),
+                FrameLayer::new("N", "XYZ", &normal),
+                FrameLayer::new("roughness", "Y", &[0.25; 6]),
             ],
             attributes: &FrameAttributes {
                 texts: vec![("relume:model", "m".to_owned())],
@@ -355,7 +367,7 @@ mod tests {
 
     #[test]
     fn layers_of_wrong_length_are_refused_by_name() {
-        let colour = [FrameLayer { name: "albedo", suffixes: "RGB", values: &[0.0; 5] }];
+        let colour = [FrameLayer::new("albedo", "RGB", &[0.0; 5])];
         let frame = FrameLayers {
             width: 2,
             height: 1,
@@ -371,7 +383,7 @@ mod tests {
     #[test]
     fn encoding_stops_when_cancelled() {
         let values = vec![0.5; 64 * 64];
-        let colour = [FrameLayer { name: "", suffixes: "Y", values: &values }];
+        let colour = [FrameLayer::new("", "Y", &values)];
         let attributes = &FrameAttributes::default();
         let frame = FrameLayers {
             width: 64,

@@ -315,7 +315,7 @@ mod tests {
     fn irradiance_of_a_direction_is_the_transmittance_of_rays() {
         let model = ball();
         let direction = glam::Vec3::new(0.5, 0.2, 0.7).normalize().to_array();
-        let cell = LightCell { direction, irradiance: [1.0, 2.0, 0.5], solid_angle: 1e-5 };
+        let cell = LightCell { direction, irradiance: [1.0, 2.0, 0.5], solid_angle: 1e-5, is_of_light: true };
         let mut found = vec![[0.0; 3]; points().len()];
         model.ground(0.0).add_irradiance(&mut found, &points(), &[cell], 512);
         let options = ShadingOptions::default();
@@ -363,7 +363,7 @@ mod tests {
     #[test]
     fn gaussians_below_the_plane_do_not_count() {
         let model = ball();
-        let cell = LightCell { direction: [0.0, 0.0, 1.0], irradiance: [1.0; 3], solid_angle: 1e-5 };
+        let cell = LightCell { direction: [0.0, 0.0, 1.0], irradiance: [1.0; 3], solid_angle: 1e-5, is_of_light: true };
         let above = |height: f32| {
             let mut sums = [[0.0; 3]];
             model.ground(height).add_irradiance(&mut sums, &[[0.0, 0.0, height]], &[cell], 256);

@@ -8,21 +8,24 @@ use crate::{NO_INDIRECT_BASIS, RasterCamera};
 use relume_layout::channel::Channels;
 use relume_layout::constants::{EarlyStop, MIN_COVERAGE};
 
-/// Floats per splat: coverage, the value, and padding to a group of channels.
+/// Floats per splat: coverage, the values, and padding to a group of channels.
 const STORED: usize = 4;
 
 impl HostModel {
-    /// Mean of `values`, one per Gaussian, over what each pixel of `view` shows, row-major; 0 in empty pixels. Gaussians without a value
+    /// Means of `values`, `N` per Gaussian, over what each pixel of `view` shows, row-major; 0 in empty pixels. Gaussians without values
     /// have 0.
-    pub fn blended(&self, view: RasterCamera, values: &[f32]) -> Vec<f32> {
+    pub fn blended<const N: usize>(&self, view: RasterCamera, values: &[[f32; N]]) -> Vec<[f32; N]> {
+        const { assert!(N < STORED) };
         let source = self.source(&[], &[], &NO_INDIRECT_BASIS);
         let splats = ShownSplats::without_materials(&source, view);
         let row = |splat: &Splat| {
-            let value = values.get(splat.gaussian as usize).copied().unwrap_or_default();
-            [1.0, value, 0.0, 0.0]
+            let values = values.get(splat.gaussian as usize).copied().unwrap_or([0.0; N]);
+            let mut row = [1.0, 0.0, 0.0, 0.0];
+            row[1..=N].copy_from_slice(&values);
+            row
         };
         let attributes = splats.splats.iter().flat_map(row).collect();
-        let columns = ShadedColumns { channels: 2, stored: STORED, attributes };
+        let columns = ShadedColumns { channels: 1 + N, stored: STORED, attributes };
         let strips: Vec<Vec<f32>> =
             (0..splats.strips()).into_par_iter().map(|index| splats.strip(&columns, index)).collect();
         strips.iter().flat_map(|strip| means(strip)).collect()
@@ -49,11 +52,14 @@ impl HostModel {
     }
 }
 
-/// The second channel of a strip divided by the first, its coverage.
-fn means(strip: &[f32]) -> impl Iterator<Item = f32> + '_ {
-    let (coverage, sums) = strip.split_at(strip.len() / 2);
-    let mean = |(coverage, sum): (&f32, &f32)| if *coverage > MIN_COVERAGE { sum / coverage } else { 0.0 };
-    coverage.iter().zip(sums).map(mean)
+/// The other channels of a strip divided by the first, its coverage.
+fn means<const N: usize>(strip: &[f32]) -> impl Iterator<Item = [f32; N]> + '_ {
+    let pixels = strip.len() / (1 + N);
+    (0..pixels).map(move |i| {
+        let coverage = strip[i];
+        let mean = |c: usize| strip[(1 + c) * pixels + i] / coverage;
+        if coverage > MIN_COVERAGE { std::array::from_fn(mean) } else { [0.0; N] }
+    })
 }
 
 #[cfg(test)]
@@ -87,13 +93,16 @@ mod tests {
     fn pixels_have_the_mean_value_of_what_they_show() {
         let host = HostModel::new(Arc::new(model()));
         let view = RasterCamera::new(&camera(), &host.model().shading);
-        let plane = host.blended(view, &[0.25, 0.75]);
+        let planes = host.blended(view, &[[0.25, 1.0, 0.0], [0.75, 0.0, 1.0]]);
+        let shares = planes[20 * 48 + 14];
+        assert!((shares[1] - 1.0).abs() < 1e-3 && shares[2].abs() < 1e-3, "{shares:?}");
+        let plane: Vec<f32> = planes.iter().map(|values| values[0]).collect();
         assert_eq!(plane.len(), 48 * 40);
         // The camera looks along -x with z up, so +y is on the right.
         let at = |x: usize| plane[20 * 48 + x];
         assert!((at(14) - 0.25).abs() < 1e-3 && (at(33) - 0.75).abs() < 1e-3, "{} {}", at(14), at(33));
         assert_eq!(plane[0], 0.0, "an empty pixel");
-        let without = host.blended(view, &[0.25]);
+        let without = host.blended(view, &[[0.25]]).into_flattened();
         assert!(
             (without[20 * 48 + 14] - 0.25).abs() < 1e-3 && without[20 * 48 + 33] == 0.0,
             "no value counts as 0"

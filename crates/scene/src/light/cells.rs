@@ -21,11 +21,13 @@ pub struct LightCell {
     pub irradiance: [f32; 3],
     /// Solid angle of the part, steradian.
     pub solid_angle: f32,
+    /// Whether the part belongs to a strong small light.
+    pub is_of_light: bool,
 }
 
 /// Divides the upper hemisphere of `light` into about `count` cells of nearly equal irradiance (median cut, after P. Debevec, "A Median Cut
 /// Algorithm for Light Probe Sampling", 2006), and each strong small light into directions of its disc. The irradiances add up to that of a
-/// surface which faces up. Empty where no light comes from above.
+/// surface which faces up. The cells of lights come first. Empty where no light comes from above.
 pub fn light_cells(light: &Illumination, count: usize) -> Vec<LightCell> {
     let (rest, lights) = dominant_lights(light);
     let mut cells = Vec::new();
@@ -37,6 +39,7 @@ pub fn light_cells(light: &Illumination, count: usize) -> Vec<LightCell> {
                 direction: d.to_array().map(|v| v as f32),
                 irradiance: light.irradiance.map(|e| (f64::from(e) * share) as f32),
                 solid_angle: PI as f32 * light.radius * light.radius / OF_LIGHT as f32,
+                is_of_light: true,
             }
         }));
     }
@@ -154,6 +157,7 @@ impl UpperHalf {
             direction,
             irradiance: irradiance.map(|v| v as f32),
             solid_angle: solid_angle as f32,
+            is_of_light: false,
         })
     }
 }

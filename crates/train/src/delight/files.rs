@@ -35,8 +35,8 @@ impl DelitPhotograph {
         let layer = |(name, values): (&'static str, &'_ [[f32; 3]])| (name, values.as_flattened().to_vec());
         let planes = self.layers().map(layer);
         let mut colour: Vec<FrameLayer<'_>> =
-            planes.iter().map(|(name, values)| FrameLayer { name, suffixes: "RGB", values }).collect();
-        colour.push(FrameLayer { name: "", suffixes: "A", values: &self.alpha });
+            planes.iter().map(|(name, values)| FrameLayer::new(name, "RGB", values)).collect();
+        colour.push(FrameLayer::new("", "A", &self.alpha));
         let attributes = FrameAttributes {
             texts: vec![("relume:alpha", "straight".to_owned())],
             ..FrameAttributes::default()

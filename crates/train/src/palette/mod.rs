@@ -109,7 +109,7 @@ impl OneGaussian {
 }
 
 /// Shares of the materials in Gaussian `i`.
-fn shares(g: &Gaussians, i: usize) -> Vec<f32> {
+pub(crate) fn shares(g: &Gaussians, i: usize) -> Vec<f32> {
     let mut shares = vec![0.0; g.prototypes()];
     softmax(g.row(Field::ProtoLogits, i), &mut shares);
     shares

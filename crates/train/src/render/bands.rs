@@ -6,11 +6,14 @@ use std::collections::BTreeMap;
 use crate::render::Frame;
 use crate::render::error::RenderError;
 use crate::render::ground::{GroundPlanes, positions};
+use crate::render::cryptomatte::MAX_MATERIALS;
 use crate::render::lamps::add_lamps;
+use crate::render::material_planes::material_planes;
+use crate::render::motion::{Neighbours, motion};
 use crate::render::renderer::{PreparedLight, Renderer};
 use relume_engine::{DeviceError, FrameJob, LampFrame, RasterCamera, RayLight};
 use relume_layout::constants::TILE;
-use relume_scene::Camera;
+use relume_scene::{Camera, Model};
 use relume_spec::rendering::{Lamp, Output, Quality, Tier};
 
 /// A frame that is being rendered, see [`Renderer::bands`].
@@ -21,11 +24,14 @@ pub struct Bands<'a> {
     quality: Quality,
     /// Requested outputs, sorted, without duplicates, including coverage.
     outputs: Vec<Output>,
-    /// Those of them that the device renders, and the depth that positions need.
+    /// Those of them that the device renders, and the depth that positions and motion need.
     of_device: Vec<Output>,
     /// Height of the ground, capture units; `None`: [`Renderer::ground_height`].
     ground: Option<f64>,
     lamps: Vec<Lamp>,
+    /// The camera of the frame, capture units, and those of its neighbours in a sequence.
+    camera: Camera,
+    neighbours: Neighbours,
     /// The work that remains after the bands.
     rest: Rest<'a>,
     /// Rows of a band: whole tiles where the device allows, so that no tile is blended twice.
@@ -80,11 +86,7 @@ impl Renderer {
     ) -> Result<Bands<'a>, RenderError> {
         self.check_light(light)?;
         quality.check().map_err(|reason| RenderError::Refused { field: "samples", reason })?;
-        if outputs.contains(&Output::Confidence) && self.model().gaussians.confidence().is_none() {
-            let reason =
-                "the model has no confidence; only models that this version trained have it".to_owned();
-            return Err(RenderError::Refused { field: "outputs", reason });
-        }
+        check_outputs(self.model(), outputs)?;
         let mut outputs = outputs.to_vec();
         outputs.push(Output::Alpha);
         outputs.sort_unstable();
@@ -109,6 +111,8 @@ impl Renderer {
             of_device,
             ground: None,
             lamps: Vec::new(),
+            camera: *camera,
+            neighbours: Neighbours::default(),
             rest: Rest::Unknown,
             rows,
             done: 0,
@@ -117,12 +121,30 @@ impl Renderer {
     }
 }
 
+/// Refuses outputs that `model` does not have.
+fn check_outputs(model: &Model, outputs: &[Output]) -> Result<(), RenderError> {
+    let refuse = |reason: String| Err(RenderError::Refused { field: "outputs", reason });
+    if outputs.contains(&Output::Confidence) && model.gaussians.confidence().is_none() {
+        return refuse("the model has no confidence; only models that this version trained have it".to_owned());
+    }
+    let materials = model.prototypes.len();
+    if outputs.iter().any(|output| output.is_of_materials()) && materials > MAX_MATERIALS {
+        return refuse(format!(
+            "material_id and cryptomatte are available up to {MAX_MATERIALS} materials; the model has {materials}"
+        ));
+    }
+    Ok(())
+}
+
 /// The outputs that a device renders for `outputs`.
 fn of_device(outputs: &[Output]) -> Vec<Output> {
-    let renders =
-        |output: &Output| !output.is_of_ground() && !matches!(output, Output::Position | Output::Confidence);
+    let of_points = [Output::Position, Output::Motion];
+    let renders = |output: &Output| {
+        let is_of_host = output.is_of_ground() || output.is_of_materials() || *output == Output::Confidence;
+        !is_of_host && !of_points.contains(output)
+    };
     let mut of_device: Vec<Output> = outputs.iter().copied().filter(renders).collect();
-    if outputs.contains(&Output::Position) && !outputs.contains(&Output::Depth) {
+    if of_points.iter().any(|output| outputs.contains(output)) && !outputs.contains(&Output::Depth) {
         of_device.push(Output::Depth);
         of_device.sort_unstable();
     }
@@ -140,6 +162,12 @@ impl Bands<'_> {
     #[must_use]
     pub fn with_lamps(self, lamps: Vec<Lamp>) -> Self {
         Self { lamps, ..self }
+    }
+
+    /// Sets the cameras of the previous and the next frame, from which the output `motion` follows. Without neighbours it is zero.
+    #[must_use]
+    pub fn between(self, neighbours: Neighbours) -> Self {
+        Self { neighbours, ..self }
     }
 
     /// Renders the next band, and after the last one a step of the light of lamps and of the planes of the ground. Returns false when the frame is complete.
@@ -170,14 +198,9 @@ impl Bands<'_> {
         if self.done < self.view.height { Ok(true) } else { Ok(self.end_bands()) }
     }
 
-    /// Adds the positions to the complete bands. Returns whether lamps or the ground remain.
+    /// Adds the positions and the motion to the complete bands. Returns whether lamps or the ground remain.
     fn end_bands(&mut self) -> bool {
-        let model = self.renderer.model();
-        let depths = self.frame.planes.get(&Output::Depth);
-        if let (true, Some(depths)) = (self.outputs.contains(&Output::Position), depths) {
-            let points = positions(&self.view, depths, (model.world_scale, model.world_offset));
-            self.frame.planes.insert(Output::Position, points);
-        }
+        self.add_points();
         let outputs = &self.outputs;
         self.frame.planes.retain(|output, _| outputs.contains(output));
         let shows = |output: &Output| matches!(output, Output::Rgb | Output::Diffuse | Output::Specular);
@@ -186,6 +209,19 @@ impl Bands<'_> {
         }
         self.begin_lamps(0);
         true
+    }
+
+    /// Adds the planes that follow from the depths.
+    fn add_points(&mut self) {
+        let model = self.renderer.model();
+        let has_points = self.outputs.contains(&Output::Position) || self.outputs.contains(&Output::Motion);
+        let (true, Some(depths)) = (has_points, self.frame.planes.get(&Output::Depth)) else { return };
+        let points = positions(&self.view, depths, (model.world_scale, model.world_offset));
+        if self.outputs.contains(&Output::Motion) {
+            let vectors = motion(&self.camera, &points, depths, &self.neighbours);
+            self.frame.planes.insert(Output::Motion, vectors);
+        }
+        self.frame.planes.insert(Output::Position, points);
     }
 
     /// Prepares a band of the light of lamps, from row `first` on.
@@ -259,8 +295,12 @@ impl Bands<'_> {
         };
         if self.outputs.contains(&Output::Confidence) {
             let values = renderer.model().gaussians.confidence().unwrap_or_default();
-            frame.planes.insert(Output::Confidence, renderer.host().blended(view, values));
+            let plane = renderer.host().blended(view, values.as_chunks::<1>().0);
+            frame.planes.insert(Output::Confidence, plane.into_flattened());
         }
+        let alpha = frame.planes.get(&Output::Alpha).map_or(&[][..], Vec::as_slice);
+        let of_materials = material_planes(renderer.host(), view, alpha, &self.outputs);
+        frame.planes.extend(of_materials);
         Ok(frame)
     }
 
@@ -305,7 +345,7 @@ mod tests {
 
     use super::*;
     use relume_compare::rms_difference;
-    use relume_scene::{EnvMap, Field, Gaussians, Model};
+    use relume_scene::{EnvMap, Field, Gaussians};
 
     /// A slanted row of balls that crosses every band.
     fn balls() -> Renderer {

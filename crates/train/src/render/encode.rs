@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use crate::render::{EncodeOptions, Frame};
+use crate::render::{EncodeOptions, Frame, cryptomatte};
 use relume_capture::formats::ImageFileError;
 use relume_capture::formats::exr_frame::{self, FrameLayer, FrameLayers};
 use relume_capture::formats::image_file::{encode_jpeg, encode_png, encode_png16};
@@ -28,11 +28,12 @@ pub struct EncodedFrame {
 /// - Colours (`rgb`, `albedo`, `diffuse`, `specular`, `radiance`): tone curve (albedo: sRGB), 8 bit, straight alpha;
 ///   16 bit with [`ToneCurve::Linear`]. A background colour is blended in display values.
 /// - `normal`: 16 bit, `(n + 1) / 2`. `metallic`, `roughness`, `visibility`, `alpha`, `contact`: 8-bit grey, linear.
-/// - `shadow`, `bounce`: 8 bit with the sRGB curve, so that a product of display values is nearly that of light.
+/// - `shadow`, its parts, and `bounce`: 8 bit with the sRGB curve, so that a product of display values is nearly that of light.
 /// - `depth`: 16-bit grey, linear between the nearest and farthest depth of the frame.
 /// - A PNG states its colour space: `sRGB`, or `gAMA` 1 for linear light and for outputs that are not colours.
 /// - EXR: linear. Colours in part `beauty` (`rgb` with alpha as `RGBA`), premultiplied unless
-///   [`EncodeOptions::alpha`] specifies otherwise; all other outputs in part `data`. 32-bit floats.
+///   [`EncodeOptions::alpha`] specifies otherwise; all other outputs in part `data`. 32-bit floats. Some outputs need EXR
+///   ([`Output::is_exr_only`]).
 ///
 /// # Errors
 /// If the frame lacks an output, or the encoder fails.
@@ -198,45 +199,62 @@ fn exr(
     for output in outputs.iter().filter(|output| is_colour(**output)) {
         colours.push((*output, scene_referred(plane(frame, *output)?, alpha, *output, options)));
     }
-    let layer = |output: Output, values| {
-        let (name, suffixes) = layer_name(output);
-        FrameLayer { name, suffixes, values }
-    };
-    let mut colour: Vec<_> = colours.iter().map(|(output, values)| layer(*output, values)).collect();
+    let mut colour: Vec<_> = colours.iter().flat_map(|(output, values)| layers(*output, values)).collect();
     if outputs.contains(&Output::Rgb) {
-        colour.push(FrameLayer { name: "", suffixes: "A", values: &covered });
+        colour.push(FrameLayer::new("", "A", &covered));
     }
     let mut data = Vec::new();
     for output in outputs.iter().filter(|output| !is_colour(**output)) {
-        data.push(layer(*output, plane(frame, *output)?));
+        data.extend(layers(*output, plane(frame, *output)?));
     }
     let (width, height) = (frame.width, frame.height);
-    let attributes =
-        &options.frame_metadata.attributes(options.background, options.alpha.unwrap_or_default());
+    let mut attributes =
+        options.frame_metadata.attributes(options.background, options.alpha.unwrap_or_default());
+    if outputs.contains(&Output::Cryptomatte) {
+        attributes.texts.extend(cryptomatte::attributes(plane(frame, Output::Cryptomatte)?));
+    }
     let primaries = options.primaries.unwrap_or_default();
-    let layers = FrameLayers { width, height, colour: &colour, primaries, data: &data, attributes };
+    let layers = FrameLayers { width, height, colour: &colour, primaries, data: &data, attributes: &attributes };
     exr_frame::encode_while(&layers, options.colour_depth.unwrap_or(ColourDepth::Full), is_wanted)
 }
 
-/// Layer names and channel suffixes that compositing tools expect.
-fn layer_name(output: Output) -> (&'static str, &'static str) {
+/// The layers of an output, with the names that compositing tools expect.
+fn layers(output: Output, values: &[f32]) -> impl Iterator<Item = FrameLayer<'_>> {
+    let per_pixel = output.channels();
+    let mut first = 0;
+    layer_names(output).iter().map(move |(name, suffixes)| {
+        let layer = FrameLayer { name, suffixes, values, first, per_pixel };
+        first += suffixes.len();
+        layer
+    })
+}
+
+/// Names and channel suffixes of the layers of an output.
+fn layer_names(output: Output) -> &'static [(&'static str, &'static str)] {
     match output {
-        Output::Rgb => ("", "RGB"),
-        Output::Albedo => ("albedo", "RGB"),
-        Output::Diffuse => ("diffuse", "RGB"),
-        Output::Specular => ("specular", "RGB"),
-        Output::Radiance => ("radiance", "RGB"),
-        Output::Normal => ("N", "XYZ"),
-        Output::Depth => ("", "Z"),
-        Output::Position => ("P", "XYZ"),
-        Output::Shadow => ("shadow", "RGB"),
-        Output::Bounce => ("bounce", "RGB"),
-        Output::Contact => ("contact", "Y"),
-        Output::Confidence => ("confidence", "Y"),
-        Output::Metallic => ("metallic", "Y"),
-        Output::Roughness => ("roughness", "Y"),
-        Output::Visibility => ("visibility", "Y"),
-        Output::Alpha => ("alpha", "Y"),
+        Output::Rgb => &[("", "RGB")],
+        Output::Albedo => &[("albedo", "RGB")],
+        Output::Diffuse => &[("diffuse", "RGB")],
+        Output::Specular => &[("specular", "RGB")],
+        Output::Radiance => &[("radiance", "RGB")],
+        Output::Normal => &[("N", "XYZ")],
+        Output::Depth => &[("", "Z")],
+        Output::Position => &[("P", "XYZ")],
+        Output::Shadow => &[("shadow", "RGB")],
+        Output::ShadowKey => &[("shadow_key", "RGB")],
+        Output::ShadowFill => &[("shadow_fill", "RGB")],
+        Output::Bounce => &[("bounce", "RGB")],
+        Output::Contact => &[("contact", "Y")],
+        Output::Confidence => &[("confidence", "Y")],
+        Output::Metallic => &[("metallic", "Y")],
+        Output::Roughness => &[("roughness", "Y")],
+        Output::Visibility => &[("visibility", "Y")],
+        Output::Alpha => &[("alpha", "Y")],
+        Output::Motion => &[("forward", "uv"), ("backward", "uv")],
+        Output::MaterialId => &[("material_id", "Y")],
+        Output::Cryptomatte => {
+            &[("CryptoMaterial00", "RGBA"), ("CryptoMaterial01", "RGBA"), ("CryptoMaterial02", "RGBA")]
+        }
     }
 }
 

@@ -32,8 +32,9 @@ impl EncodeOptions {
     pub fn check(&self, outputs: &[Output], format: FrameFormat) -> Result<(), RenderError> {
         use FrameFormat::{Exr, Jpeg, Png};
         let refuse = |field, reason: &str| Err(RenderError::Refused { field, reason: reason.to_owned() });
-        if format != Exr && outputs.contains(&Output::Position) {
-            return refuse("outputs", "position needs EXR: PNG and JPEG cannot store coordinates");
+        if format != Exr && outputs.iter().any(|output| output.is_exr_only()) {
+            let reason = "position, motion, material_id and cryptomatte need EXR: PNG and JPEG cannot store their values";
+            return refuse("outputs", reason);
         }
         match (self.background, format) {
             (Background::Colour(_), Exr) => {

@@ -35,7 +35,8 @@ pub(super) struct GroundPlanes<'a> {
     cells: Vec<LightCell>,
     directions: Vec<[f32; 3]>,
     radiance: Option<GroundRadiance<'a>>,
-    received: Vec<[f32; 3]>,
+    /// Irradiance of the points: of the strong small lights, and of the rest.
+    received: [Vec<[f32; 3]>; 2],
     views: Vec<GroundView>,
     /// Cells and directions that are done.
     done: [usize; 2],
@@ -45,28 +46,31 @@ pub(super) struct GroundPlanes<'a> {
 #[derive(Clone, Copy)]
 struct GroundPoint {
     shadow: [f32; 3],
+    /// Its parts: light of the strong small lights and of the rest.
+    parts: [[f32; 3]; 2],
     bounce: [f32; 3],
     contact: f32,
 }
 
 impl GroundPoint {
-    /// A pixel without ground.
-    const NONE: Self = Self { shadow: [1.0; 3], bounce: [0.0; 3], contact: 1.0 };
-
     fn mix(self, other: Self, share: f32) -> Self {
         let mix = |a: f32, b: f32| a + share * (b - a);
         Self {
             shadow: std::array::from_fn(|c| mix(self.shadow[c], other.shadow[c])),
+            parts: std::array::from_fn(|k| std::array::from_fn(|c| mix(self.parts[k][c], other.parts[k][c]))),
             bounce: std::array::from_fn(|c| mix(self.bounce[c], other.bounce[c])),
             contact: mix(self.contact, other.contact),
         }
     }
 
-    fn values(&self, output: Output) -> &[f32] {
+    fn add_to(&self, plane: &mut Vec<f32>, output: Output) {
+        let [key, fill] = self.parts;
         match output {
-            Output::Shadow => &self.shadow,
-            Output::Bounce => &self.bounce,
-            _ => std::slice::from_ref(&self.contact),
+            Output::Shadow => plane.extend(self.shadow),
+            Output::ShadowKey => plane.extend(key),
+            Output::ShadowFill => plane.extend(fill),
+            Output::Bounce => plane.extend(self.bounce),
+            _ => plane.push(self.contact),
         }
     }
 }
@@ -89,7 +93,7 @@ impl<'a> GroundPlanes<'a> {
         let hits: Vec<_> = (0..columns * rows).map(|i| hit(view, height, place(i))).collect();
         let points: Vec<[f32; 3]> = hits.iter().flatten().copied().collect();
         let is_asked = |asked: &[Output]| asked.iter().any(|output| outputs.contains(output));
-        let has_shadow = is_asked(&[Output::Shadow]);
+        let has_shadow = is_asked(&[Output::Shadow, Output::ShadowKey, Output::ShadowFill]);
         let has_views = is_asked(&[Output::Bounce, Output::Contact]);
         let has_radiance = is_asked(&[Output::Bounce]);
         Self {
@@ -101,7 +105,7 @@ impl<'a> GroundPlanes<'a> {
             cells: light_cells(&light.source, CELLS),
             directions: if has_views { cosine_directions(DIRECTIONS) } else { Vec::new() },
             radiance: has_radiance.then(|| GroundRadiance::new(renderer.light_on_host(light))),
-            received: if has_shadow { vec![[0.0; 3]; points.len()] } else { Vec::new() },
+            received: [0, 1].map(|_| if has_shadow { vec![[0.0; 3]; points.len()] } else { Vec::new() }),
             views: if has_views { vec![GroundView::default(); points.len()] } else { Vec::new() },
             points,
             outputs,
@@ -112,12 +116,15 @@ impl<'a> GroundPlanes<'a> {
     /// Computes a group of directions. Returns false when all are done.
     pub(super) fn step(&mut self) -> bool {
         let next = |done: usize, count: usize| done..(done + self.ground.group(self.side)).min(count);
-        let cells = if self.received.is_empty() { 0 } else { self.cells.len() };
+        let cells = if self.received[0].is_empty() { 0 } else { self.cells.len() };
         let directions = if self.views.is_empty() { 0 } else { self.directions.len() };
         if self.done[0] < cells {
-            let group = next(self.done[0], cells);
+            let of_lights = self.cells.iter().take_while(|cell| cell.is_of_light).count();
+            let is_key = self.done[0] < of_lights;
+            let group = next(self.done[0], if is_key { of_lights } else { cells });
             self.done[0] = group.end;
-            self.ground.add_irradiance(&mut self.received, &self.points, &self.cells[group], self.side);
+            let received = &mut self.received[usize::from(!is_key)];
+            self.ground.add_irradiance(received, &self.points, &self.cells[group], self.side);
         } else if self.done[1] < directions {
             let group = next(self.done[1], directions);
             self.done[1] = group.end;
@@ -129,10 +136,11 @@ impl<'a> GroundPlanes<'a> {
 
     /// Adds the planes to `frame`.
     pub(super) fn add_to(self, frame: &mut Frame) {
-        let mut of_points = self.of_points().into_iter();
+        let (open, of_points) = self.of_points();
+        let mut of_points = of_points.into_iter();
         let is_hit = |hit: &bool| if *hit { of_points.next() } else { None };
         let places: Vec<GroundPoint> =
-            self.hits.iter().map(is_hit).map(|point| point.unwrap_or(GroundPoint::NONE)).collect();
+            self.hits.iter().map(is_hit).map(|point| point.unwrap_or(open)).collect();
         let (width, height) = self.size;
         let columns = nodes(self.size, self.step).0;
         let pixel = |i: usize| {
@@ -147,29 +155,38 @@ impl<'a> GroundPlanes<'a> {
         };
         for output in &self.outputs {
             let mut plane = Vec::with_capacity(width * height * output.channels());
-            (0..width * height).for_each(|i| plane.extend_from_slice(pixel(i).values(*output)));
+            (0..width * height).for_each(|i| pixel(i).add_to(&mut plane, *output));
             frame.planes.insert(*output, plane);
         }
     }
 
-    /// The values of the points.
-    fn of_points(&self) -> Vec<GroundPoint> {
-        let mut open = [0.0f32; 3];
+    /// The values of a pixel without ground, and those of the points.
+    fn of_points(&self) -> (GroundPoint, Vec<GroundPoint>) {
+        let mut sums = [[0.0f32; 3]; 2];
         for cell in &self.cells {
-            (0..3).for_each(|c| open[c] += cell.irradiance[c]);
+            let sum = &mut sums[usize::from(!cell.is_of_light)];
+            (0..3).for_each(|c| sum[c] += cell.irradiance[c]);
         }
+        let open: [f32; 3] = std::array::from_fn(|c| sums[0][c] + sums[1][c]);
         // A channel without light has no shadow and no bounce.
         let share = |value: f32, c: usize, dark: f32| if open[c] > 0.0 { value / open[c] } else { dark };
-        let mut points = vec![GroundPoint::NONE; self.points.len()];
-        for (point, received) in points.iter_mut().zip(&self.received) {
-            point.shadow = std::array::from_fn(|c| share(received[c], c, 1.0));
+        let lit = |received: [[f32; 3]; 2]| {
+            let all = |c: usize| share(received[0][c] + received[1][c], c, 1.0);
+            // A channel without light has all of its shadow in the part of the rest.
+            let part = |k: usize| std::array::from_fn(|c| share(received[k][c], c, [0.0, 1.0][k]));
+            GroundPoint { shadow: std::array::from_fn(all), parts: [0, 1].map(part), bounce: [0.0; 3], contact: 1.0 }
+        };
+        let without_ground = lit(sums);
+        let mut points = vec![without_ground; self.points.len()];
+        for (point, (key, fill)) in points.iter_mut().zip(self.received[0].iter().zip(&self.received[1])) {
+            *point = lit([*key, *fill]);
         }
         for (point, view) in points.iter_mut().zip(&self.views) {
             let GroundView { open: contact, radiance } = view.mean(self.directions.len());
             point.contact = contact;
             point.bounce = std::array::from_fn(|c| share(std::f32::consts::PI * radiance[c], c, 0.0));
         }
-        points
+        (without_ground, points)
     }
 }
 

@@ -1,5 +1,6 @@
 //! Frame sequences: a camera and a rotation of the light for each frame.
 
+use crate::render::motion::Neighbours;
 use crate::render::viewpoint::{Orbit, Viewpoint};
 use relume_scene::{Camera, CameraError, Model};
 
@@ -10,6 +11,25 @@ pub struct FrameView {
     pub camera: Camera,
     /// Rotation of the light about +Z in addition to the rotation common to all frames, degrees counter-clockwise.
     pub light_rotation_deg: f64,
+    /// The cameras before and after this one. None exist before [`linked`].
+    pub neighbours: Neighbours,
+}
+
+impl FrameView {
+    /// A view without neighbours.
+    pub fn new(camera: Camera, light_rotation_deg: f64) -> Self {
+        Self { camera, light_rotation_deg, neighbours: Neighbours::default() }
+    }
+}
+
+/// The views of a sequence, each with its neighbours.
+pub fn linked(mut views: Vec<FrameView>) -> Vec<FrameView> {
+    let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+    for (i, view) in views.iter_mut().enumerate() {
+        let previous = i.checked_sub(1).map(|before| cameras[before]);
+        view.neighbours = Neighbours { previous, next: cameras.get(i + 1).copied() };
+    }
+    views
 }
 
 /// Cameras on a circle around a model.
@@ -39,7 +59,7 @@ impl Turntable {
         let azimuth = |i: u32| start + self.camera_turn_deg * f64::from(i) / f64::from(self.frames);
         let view = |i| {
             let camera = orbit_camera(model, Some(azimuth(i)), self.elevation_deg, self.size)?;
-            Ok(FrameView { camera, light_rotation_deg: 0.0 })
+            Ok(FrameView::new(camera, 0.0))
         };
         (0..self.frames).map(view).collect()
     }

@@ -160,7 +160,7 @@ mod tests {
         assert!(matches!(read_header(&b"not an EXR"[..]), Err(ImageFileError::Damaged(_))));
         assert!(matches!(read_header(&bytes[..100]), Err(ImageFileError::Damaged(_))), "a part of a header");
         let values = [0.5f32; 5 * 37];
-        let layer = FrameLayer { name: "", suffixes: "A", values: &values };
+        let layer = FrameLayer::new("", "A", &values);
         let attributes = FrameAttributes::default();
         let frame = FrameLayers {
             width: SIZE.0,

@@ -64,9 +64,14 @@ fn expected(pass: &Pass, shader: &SurfaceShader<'_>, plane: Output, x: usize, y:
         Output::Depth => vec![pass.at(x, y, channel::DEPTH) / coverage * DEPTH_SCALE],
         plane @ (Output::Position
         | Output::Shadow
+        | Output::ShadowKey
+        | Output::ShadowFill
         | Output::Bounce
         | Output::Contact
-        | Output::Confidence) => {
+        | Output::Confidence
+        | Output::Motion
+        | Output::MaterialId
+        | Output::Cryptomatte) => {
             panic!("no engine renders {plane:?}")
         }
         Output::Alpha => vec![alpha],
