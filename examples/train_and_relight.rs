@@ -95,9 +95,9 @@ fn linear_exr(frame: &Frame) -> Result<Vec<u8>, AnyError> {
     let layers = FrameLayers {
         width: frame.width,
         height: frame.height,
-        colour: &[FrameLayer { name: "", suffixes: "RGBA", values: &rgba }],
+        colour: &[FrameLayer::new("", "RGBA", &rgba)],
         primaries: Primaries::Rec709,
-        data: &[FrameLayer { name: "N", suffixes: "XYZ", values: plane(Output::Normal)? }],
+        data: &[FrameLayer::new("N", "XYZ", plane(Output::Normal)?)],
         attributes: &FrameAttributes::default(),
     };
     Ok(exr_frame::encode(&layers, ColourDepth::Full)?)

@@ -76,9 +76,9 @@ pub(super) fn check_ground(height: Option<f64>, outputs: &[Output]) -> Result<()
     let refuse = |why: &str| Err(Problem::invalid_field("/ground_height", why));
     match height {
         Some(height) if !height.is_finite() => refuse("must be finite"),
-        Some(_) if !outputs.iter().any(|output| output.is_of_ground()) => {
-            refuse("applies to the outputs shadow, shadow_key, shadow_fill, bounce and contact; add one of them to outputs")
-        }
+        Some(_) if !outputs.iter().any(|output| output.is_of_ground()) => refuse(
+            "applies to the outputs shadow, shadow_key, shadow_fill, bounce and contact; add one of them to outputs",
+        ),
         _ => Ok(()),
     }
 }

@@ -110,7 +110,8 @@ impl RenderArgs {
         if self.output.is_empty() {
             return Ok(vec![if relightable { Rgb } else { Radiance }]);
         }
-        let of_any = |o: &Output| matches!(o, Radiance | Alpha | Depth | Normal | Position | Contact | Motion);
+        let of_any =
+            |o: &Output| matches!(o, Radiance | Alpha | Depth | Normal | Position | Contact | Motion);
         match relightable || self.output.iter().all(of_any) {
             true => Ok(self.output.clone()),
             false => Err(

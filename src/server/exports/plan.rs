@@ -16,7 +16,9 @@ use relume_api::{NerfstudioWorld, TenantId};
 use relume_capture::Up;
 use relume_scene::Model;
 use relume_spec::rendering::{Background, FrameFormat, Quality, ToneCurve, is_colour};
-use relume_train::render::{EncodeOptions, FrameMetadata, FrameView, Turntable, linked, resized, rotate_light};
+use relume_train::render::{
+    EncodeOptions, FrameMetadata, FrameView, Turntable, linked, resized, rotate_light,
+};
 
 /// Maximum number of frames of an export.
 const MOST_FRAMES: usize = 10_000;

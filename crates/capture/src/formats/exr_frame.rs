@@ -278,10 +278,7 @@ mod tests {
         let frame = FrameLayers {
             width: 3,
             height: 2,
-            colour: &[
-                FrameLayer::new("", "RGBA", &rgba),
-                FrameLayer::new("albedo", "RGB", &albedo),
-            ],
+            colour: &[FrameLayer::new("", "RGBA", &rgba), FrameLayer::new("albedo", "RGB", &albedo)],
             primaries,
             data: &[
                 FrameLayer::new("", "Z", &z),

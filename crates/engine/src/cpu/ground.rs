@@ -363,7 +363,12 @@ mod tests {
     #[test]
     fn gaussians_below_the_plane_do_not_count() {
         let model = ball();
-        let cell = LightCell { direction: [0.0, 0.0, 1.0], irradiance: [1.0; 3], solid_angle: 1e-5, is_of_light: true };
+        let cell = LightCell {
+            direction: [0.0, 0.0, 1.0],
+            irradiance: [1.0; 3],
+            solid_angle: 1e-5,
+            is_of_light: true,
+        };
         let above = |height: f32| {
             let mut sums = [[0.0; 3]];
             model.ground(height).add_irradiance(&mut sums, &[[0.0, 0.0, height]], &[cell], 256);

@@ -4,9 +4,9 @@
 use std::collections::BTreeMap;
 
 use crate::render::Frame;
+use crate::render::cryptomatte::MAX_MATERIALS;
 use crate::render::error::RenderError;
 use crate::render::ground::{GroundPlanes, positions};
-use crate::render::cryptomatte::MAX_MATERIALS;
 use crate::render::lamps::add_lamps;
 use crate::render::material_planes::material_planes;
 use crate::render::motion::{Neighbours, motion};
@@ -125,7 +125,9 @@ impl Renderer {
 fn check_outputs(model: &Model, outputs: &[Output]) -> Result<(), RenderError> {
     let refuse = |reason: String| Err(RenderError::Refused { field: "outputs", reason });
     if outputs.contains(&Output::Confidence) && model.gaussians.confidence().is_none() {
-        return refuse("the model has no confidence; only models that this version trained have it".to_owned());
+        return refuse(
+            "the model has no confidence; only models that this version trained have it".to_owned(),
+        );
     }
     let materials = model.prototypes.len();
     if outputs.iter().any(|output| output.is_of_materials()) && materials > MAX_MATERIALS {

@@ -214,7 +214,8 @@ fn exr(
         attributes.texts.extend(cryptomatte::attributes(plane(frame, Output::Cryptomatte)?));
     }
     let primaries = options.primaries.unwrap_or_default();
-    let layers = FrameLayers { width, height, colour: &colour, primaries, data: &data, attributes: &attributes };
+    let layers =
+        FrameLayers { width, height, colour: &colour, primaries, data: &data, attributes: &attributes };
     exr_frame::encode_while(&layers, options.colour_depth.unwrap_or(ColourDepth::Full), is_wanted)
 }
 

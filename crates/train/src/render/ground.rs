@@ -174,7 +174,12 @@ impl<'a> GroundPlanes<'a> {
             let all = |c: usize| share(received[0][c] + received[1][c], c, 1.0);
             // A channel without light has all of its shadow in the part of the rest.
             let part = |k: usize| std::array::from_fn(|c| share(received[k][c], c, [0.0, 1.0][k]));
-            GroundPoint { shadow: std::array::from_fn(all), parts: [0, 1].map(part), bounce: [0.0; 3], contact: 1.0 }
+            GroundPoint {
+                shadow: std::array::from_fn(all),
+                parts: [0, 1].map(part),
+                bounce: [0.0; 3],
+                contact: 1.0,
+            }
         };
         let without_ground = lit(sums);
         let mut points = vec![without_ground; self.points.len()];

@@ -55,7 +55,10 @@ mod tests {
     use super::*;
 
     fn camera(eye: DVec3) -> Camera {
-        Camera { rotation: camera_axes(), ..Camera::look_at(eye, eye - DVec3::X, DVec3::Z, 0.8, (40, 30)).unwrap() }
+        Camera {
+            rotation: camera_axes(),
+            ..Camera::look_at(eye, eye - DVec3::X, DVec3::Z, 0.8, (40, 30)).unwrap()
+        }
     }
 
     /// Looks along -x, with y to the right and z up.
