@@ -6,8 +6,12 @@
 use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use crate::ColumnShift;
+
+/// Least number of rows that one thread resamples.
+const ROWS_PER_TASK: usize = 16;
 
 /// An equirectangular map of linear Rec.709 radiance, row-major, row 0 at world +Z.
 #[derive(Debug, Clone, PartialEq)]
@@ -149,21 +153,23 @@ impl EnvMap {
     #[must_use]
     pub fn resampled(&self, width: usize, height: usize) -> Self {
         let [columns, rows] = texel_overlaps((self.width, self.height), (width, height));
-        let mut texels = Vec::with_capacity(width * height);
-        for row in &rows {
-            for column in &columns {
-                let mut sum = [0.0f64; 3];
-                let mut weight = 0.0;
-                for &(y, wy) in row {
-                    for &(x, wx) in column {
-                        let t = self.texels[y * self.width + x];
-                        (0..3).for_each(|k| sum[k] += f64::from(t[k]) * wx * wy);
-                        weight += wx * wy;
-                    }
+        let texel = |row: &[(usize, f64)], column: &[(usize, f64)]| {
+            let mut sum = [0.0f64; 3];
+            let mut weight = 0.0;
+            for &(y, wy) in row {
+                for &(x, wx) in column {
+                    let t = self.texels[y * self.width + x];
+                    (0..3).for_each(|k| sum[k] += f64::from(t[k]) * wx * wy);
+                    weight += wx * wy;
                 }
-                texels.push(std::array::from_fn(|k| (sum[k] / weight) as f32));
             }
-        }
+            sum.map(|sum| (sum / weight) as f32)
+        };
+        let mut texels = vec![[0.0f32; 3]; width * height];
+        let lines = texels.par_chunks_mut(width.max(1)).zip(&rows).with_min_len(ROWS_PER_TASK);
+        lines.for_each(|(line, row)| {
+            line.iter_mut().zip(&columns).for_each(|(to, column)| *to = texel(row, column));
+        });
         Self { width, height, texels }
     }
 

@@ -4,14 +4,12 @@
 
 use std::ops::Range;
 
-use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::environment::texel_overlaps;
 use crate::light::map_rows::DIFFUSE_ROWS;
-use crate::light::prefilter::{
-    Cell, DIFFUSE_NODES, SPECULAR_NODES, Tap, has_coarser_level, lobe_taps, to_uv,
-};
+use crate::light::prefilter::{Cell, DIFFUSE_NODES, SPECULAR_NODES, has_coarser_level};
+use crate::light::reflection_lobe::{Places, ReflectionLobe};
 use crate::light::{CubeGrid, LightLobes, SPECULAR_LEVELS, sh_eval};
 use crate::{sh_count, texel_directions};
 
@@ -38,10 +36,13 @@ impl LobeTables {
         let count = lobes.directions().len();
         let specular_grids = SPECULAR_NODES.map(CubeGrid::new);
         let specular = std::array::from_fn(|k| {
-            let taps = lobe_taps(f64::from(SPECULAR_LEVELS[k]).powi(2), &sizes);
+            let lobe = ReflectionLobe::new(k, &sizes);
             let nodes = specular_grids[k].directions();
             let mut out = vec![0.0f32; nodes.len() * count];
-            out.par_chunks_mut(count).zip(&nodes).for_each(|(row, r)| add_filtered(&pyramid, *r, &taps, row));
+            out.par_chunks_mut(count).zip(&nodes).for_each_init(Places::default, |places, (row, r)| {
+                lobe.places_around(*r, places);
+                add_filtered(&pyramid, &lobe, places, row);
+            });
             out
         });
         let diffuse_grid = CubeGrid::new(DIFFUSE_NODES);
@@ -139,12 +140,10 @@ fn pyramid(map: LobeMap) -> Vec<LobeMap> {
     levels
 }
 
-/// Adds to `out` the mean radiance of each lobe over the lobe of reflection around `r`.
-fn add_filtered(pyramid: &[LobeMap], r: DVec3, taps: &[Tap], out: &mut [f32]) {
-    let r = r.as_vec3();
-    let (u, v) = r.any_orthonormal_pair();
-    for tap in taps {
-        let uv = to_uv(tap.direction.x * u + tap.direction.y * v + tap.direction.z * r);
+/// Adds to `out` the mean radiance of each lobe of light over a lobe of reflection at `places`.
+fn add_filtered(pyramid: &[LobeMap], lobe: &ReflectionLobe, places: &Places, out: &mut [f32]) {
+    for (tap, (u, v)) in lobe.taps.iter().zip(places.u.iter().zip(&places.v)) {
+        let uv = [*u, *v];
         let coarse = (tap.low + 1).min(pyramid.len() - 1);
         for (level, share) in [(tap.low, 1.0 - tap.fraction), (coarse, tap.fraction)] {
             if share > 0.0 {

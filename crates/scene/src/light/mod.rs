@@ -14,6 +14,7 @@ mod matrix_weights;
 mod operators;
 mod prefilter;
 mod reflectance;
+mod reflection_lobe;
 mod reflector;
 mod sampler;
 mod sh;

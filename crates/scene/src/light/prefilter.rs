@@ -4,32 +4,30 @@
 //! evaluates the same kernels directly: the diffuse transfer by quadrature over a reduced map, the specular levels by
 //! importance sampling of the lobe. Each sample is read from the map's pyramid at the level of its solid angle.
 
-use std::f32::consts::TAU;
-use std::f64::consts::PI;
+use std::borrow::Cow;
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec3, Vec4};
+use multiversion::multiversion;
 use rayon::prelude::*;
 
 use crate::light::map_rows::DIFFUSE_ROWS;
-use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, brdf::ggx_d, padded, sh_eval};
+use crate::light::reflection_lobe::{Places, ReflectionLobe};
+use crate::light::{CubeGrid, LightTables, SPECULAR_LEVELS, padded, sh_eval};
 use crate::{EnvMap, sh_count, texel_directions};
 
 /// Nodes along a cube edge for normals.
 pub(super) const DIFFUSE_NODES: usize = 17;
 /// Nodes along a cube edge for each specular level.
 pub(super) const SPECULAR_NODES: [usize; SPECULAR_LEVELS.len()] = [65, 33, 33, 17, 17, 17];
-/// Lobe samples per node.
-const SAMPLES: u32 = 192;
-
 /// The tables of `map` for visibility fields of degree `sh_degree`.
 pub fn rendering_tables(map: &EnvMap, sh_degree: usize) -> LightTables {
     let diffuse_grid = CubeGrid::new(DIFFUSE_NODES);
     let pyramid = Pyramid::new(map);
     let specular_grids = SPECULAR_NODES.map(CubeGrid::new);
     let specular = std::array::from_fn(|k| {
-        let alpha = f64::from(SPECULAR_LEVELS[k]).powi(2);
-        let lobe = lobe_taps(alpha, &pyramid.sizes());
-        specular_grids[k].directions().into_par_iter().map(|r| pyramid.filtered(r, &lobe)).collect()
+        let lobe = ReflectionLobe::new(k, &pyramid.sizes());
+        let nodes = specular_grids[k].directions().into_par_iter();
+        nodes.map_init(Places::default, |places, r| pyramid.filtered(r, &lobe, places)).collect()
     });
     LightTables {
         diffuse_grid,
@@ -52,82 +50,53 @@ fn diffuse_transfer(grid: &CubeGrid, map: &EnvMap, sh_degree: usize) -> Vec<f32>
     };
     let n = padded(sh_count(sh_degree));
     let directions = texel_directions(map.width(), map.height());
-    let products: Vec<f32> = directions
-        .iter()
-        .zip(map.texels())
-        .flat_map(|((d, w), l)| {
-            let mut y = vec![0.0f32; n];
-            sh_eval(sh_degree, d.to_array().map(|v| v as f32), &mut y);
-            let weight = *w as f32;
-            let l = *l;
-            (0..3).flat_map(move |c| y.clone().into_iter().map(move |y| y * l[c] * weight))
-        })
-        .collect();
+    let mut products = vec![0.0f32; directions.len() * 3 * n];
+    for (((d, w), l), rows) in directions.iter().zip(map.texels()).zip(products.chunks_exact_mut(3 * n)) {
+        let (y, others) = rows.split_at_mut(n);
+        sh_eval(sh_degree, d.to_array().map(|v| v as f32), y);
+        let light = l.map(|l| l * *w as f32);
+        for (row, light) in others.chunks_exact_mut(n).zip(&light[1..]) {
+            row.iter_mut().zip(&*y).for_each(|(product, y)| *product = y * light);
+        }
+        y.iter_mut().for_each(|y| *y *= light[0]);
+    }
+    let directions: Vec<Vec3> = directions.iter().map(|(d, _)| d.as_vec3()).collect();
     let nodes = grid.directions();
     let mut out = vec![0.0f32; nodes.len() * 3 * n];
-    out.par_chunks_mut(3 * n).zip(&nodes).for_each(|(row, node)| {
-        for ((d, _), light) in directions.iter().zip(products.chunks_exact(3 * n)) {
-            let cos = node.dot(*d) as f32;
-            if cos > 0.0 {
-                row.iter_mut().zip(light).for_each(|(o, v)| *o += cos * v);
-            }
+    out.par_chunks_mut(3 * n)
+        .zip(&nodes)
+        .for_each(|(row, node)| add_products(node.as_vec3(), &directions, &products, row));
+    out
+}
+
+/// Adds to `row` the rows of `products`, one per direction, times the clamped cosine between `normal` and the direction.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
+fn add_products(normal: Vec3, directions: &[Vec3], products: &[f32], row: &mut [f32]) {
+    let width = row.len().max(1);
+    for (direction, light) in directions.iter().zip(products.chunks_exact(width)) {
+        let cos = normal.dot(*direction);
+        if cos > 0.0 {
+            row.iter_mut().zip(light).for_each(|(sum, light)| *sum += cos * light);
         }
-    });
-    out
-}
-
-/// One sample of the lobe around +Z: direction, weight, solid angle.
-struct LobeDirection {
-    direction: DVec3,
-    weight: f64,
-    solid_angle: f64,
-}
-
-/// Samples of `D(half) cos` with N = V = R, weights summing to 1.
-fn lobe_samples(alpha: f64) -> Vec<LobeDirection> {
-    let mut out: Vec<LobeDirection> = (0..SAMPLES)
-        .filter_map(|i| {
-            let u1 = (f64::from(i) + 0.5) / f64::from(SAMPLES);
-            let u2 = (f64::from(i.reverse_bits()) + 0.5) / 4_294_967_296.0;
-            let cos_h = ((1.0 - u2) / (1.0 + (alpha * alpha - 1.0) * u2)).sqrt();
-            let sin_h = (1.0 - cos_h * cos_h).max(0.0).sqrt();
-            let phi = 2.0 * PI * u1;
-            let h = DVec3::new(sin_h * phi.cos(), sin_h * phi.sin(), cos_h);
-            let direction = 2.0 * cos_h * h - DVec3::Z;
-            // The density of the reflected direction is D(h) cos_h / (4 cos_h).
-            let density = 0.25 * ggx_d(cos_h, alpha);
-            let solid_angle = 1.0 / (f64::from(SAMPLES) * density.max(1e-12));
-            (direction.z > 0.0).then_some(LobeDirection { direction, weight: direction.z, solid_angle })
-        })
-        .collect();
-    let total: f64 = out.iter().map(|s| s.weight).sum();
-    out.iter_mut().for_each(|s| s.weight /= total);
-    out
+    }
 }
 
 /// A map and its reductions by two.
 struct Pyramid {
-    levels: Vec<EnvMap>,
+    levels: Vec<Level>,
 }
 
-/// A sample of a lobe, read between level `low` of a pyramid and the next coarser one.
-pub(super) struct Tap {
-    pub(super) direction: Vec3,
-    pub(super) weight: f32,
-    pub(super) low: usize,
-    pub(super) fraction: f32,
+/// A map of texels that the processor loads as whole vectors.
+struct Level {
+    size: (usize, usize),
+    texels: Vec<Vec4>,
 }
 
-/// Samples of the lobe of `alpha` around +Z, with their positions in a pyramid of maps of these sizes.
-pub(super) fn lobe_taps(alpha: f64, sizes: &[(usize, usize)]) -> Vec<Tap> {
-    let texel = 4.0 * PI / (sizes[0].0 * sizes[0].1) as f64;
-    let tap = |s: LobeDirection| {
-        // One level coarser than the sample's footprint, so that neighbouring samples overlap.
-        let level = (0.5 * (s.solid_angle / texel).log2() + 1.0).clamp(0.0, (sizes.len() - 1) as f64);
-        let (low, fraction) = (level as usize, level.fract() as f32);
-        Tap { direction: s.direction.as_vec3(), weight: s.weight as f32, low, fraction }
-    };
-    lobe_samples(alpha).into_iter().map(tap).collect()
+impl From<&EnvMap> for Level {
+    fn from(map: &EnvMap) -> Self {
+        let texels = map.texels().iter().map(|[r, g, b]| Vec4::new(*r, *g, *b, 0.0)).collect();
+        Self { size: (map.width(), map.height()), texels }
+    }
 }
 
 /// Whether a map of `rows` rows has a coarser level in a pyramid.
@@ -137,40 +106,31 @@ pub(super) fn has_coarser_level(rows: usize) -> bool {
 
 impl Pyramid {
     fn new(map: &EnvMap) -> Self {
-        let mut levels = vec![map.clone()];
-        while let Some(last) = levels.last() {
-            if !has_coarser_level(last.height()) {
-                break;
-            }
-            let next = last.resampled((last.width() / 2).max(1), (last.height() / 2).max(1));
-            levels.push(next);
+        let mut levels = vec![Level::from(map)];
+        let mut last = Cow::Borrowed(map);
+        while has_coarser_level(last.height()) {
+            last = Cow::Owned(last.resampled((last.width() / 2).max(1), (last.height() / 2).max(1)));
+            levels.push(Level::from(&*last));
         }
         Self { levels }
     }
 
     /// Columns and rows of each level.
     fn sizes(&self) -> Vec<(usize, usize)> {
-        self.levels.iter().map(|map| (map.width(), map.height())).collect()
+        self.levels.iter().map(|level| level.size).collect()
     }
 
     /// Mean radiance over the lobe around `r`.
-    fn filtered(&self, r: DVec3, lobe: &[Tap]) -> [f32; 3] {
-        let r = r.as_vec3();
-        let (u, v) = r.any_orthonormal_pair();
-        let mut sum = Vec3::ZERO;
-        for tap in lobe {
-            let uv = to_uv(tap.direction.x * u + tap.direction.y * v + tap.direction.z * r);
-            let fine = bilinear(&self.levels[tap.low], uv);
-            let coarse = bilinear(&self.levels[(tap.low + 1).min(self.levels.len() - 1)], uv);
+    fn filtered(&self, r: DVec3, lobe: &ReflectionLobe, places: &mut Places) -> [f32; 3] {
+        lobe.places_around(r, places);
+        let mut sum = Vec4::ZERO;
+        for (tap, (u, v)) in lobe.taps.iter().zip(places.u.iter().zip(&places.v)) {
+            let fine = bilinear(&self.levels[tap.low], [*u, *v]);
+            let coarse = bilinear(&self.levels[(tap.low + 1).min(self.levels.len() - 1)], [*u, *v]);
             sum += tap.weight * fine.lerp(coarse, tap.fraction);
         }
-        sum.to_array()
+        sum.truncate().to_array()
     }
-}
-
-/// [`direction_to_uv`](crate::direction_to_uv) in single precision, accurate to 1/10,000 of a texel of the largest maps.
-pub(super) fn to_uv(d: Vec3) -> [f32; 2] {
-    [0.5 - d.y.atan2(d.x) / TAU, d.z.clamp(-1.0, 1.0).acos() / (0.5 * TAU)]
 }
 
 /// The four texels around a point of a map, and its position between them.
@@ -200,9 +160,10 @@ impl Cell {
 }
 
 /// [`EnvMap::sample`] in single precision, at `u` in [0, 1] and `v` in [0, 1].
-fn bilinear(map: &EnvMap, uv: [f32; 2]) -> Vec3 {
-    let Cell { texels, across, down } = Cell::around((map.width(), map.height()), uv);
-    let [upper_left, upper_right, lower_left, lower_right] = texels.map(|t| Vec3::from(map.texels()[t]));
+#[inline]
+fn bilinear(level: &Level, uv: [f32; 2]) -> Vec4 {
+    let Cell { texels, across, down } = Cell::around(level.size, uv);
+    let [upper_left, upper_right, lower_left, lower_right] = texels.map(|t| level.texels[t]);
     upper_left.lerp(upper_right, across).lerp(lower_left.lerp(lower_right, across), down)
 }
 
@@ -249,11 +210,14 @@ mod tests {
     fn pyramid_lookup_matches_the_map_sampling() {
         let map =
             EnvMap::from_fn(61, 31, |d| [(9.0 * d.x).sin() as f32 + 1.5, d.y as f32 + 1.5, d.z as f32 + 1.5]);
+        let level = Level::from(&map);
         let error = |turn: f64| {
             let directions = crate::texel_directions(80, 40).into_iter();
             let differences = directions.map(|(d, _)| {
                 let expected = map.sample(glam::DQuat::from_rotation_z(turn) * d);
-                largest_difference(&bilinear(&map, to_uv(d.as_vec3())).to_array(), &expected)
+                let found =
+                    bilinear(&level, crate::direction_to_uv(d).map(|v| v as f32)).truncate().to_array();
+                largest_difference(&found, &expected)
             });
             worst(differences)
         };
