@@ -79,7 +79,7 @@ impl RenderSession {
         let light = light.at(&self.renderer, &self.light, rotation_deg)?;
         let FrameView { camera, .. } = view;
         let bands = self.renderer.bands(camera, light, self.quality, &self.outputs)?;
-        let bands = bands.on_ground(self.ground_height).between(view.neighbours);
+        let bands = bands.undivided().on_ground(self.ground_height).between(view.neighbours);
         let mut bands = bands.with_lamps(self.lamps.clone());
         while bands.render_next()? {}
         let mut frame = bands.into_frame();

@@ -11,7 +11,7 @@ use crate::render::lamps::add_lamps;
 use crate::render::material_planes::material_planes;
 use crate::render::motion::{Neighbours, motion};
 use crate::render::renderer::{PreparedLight, Renderer};
-use relume_engine::{DeviceError, FrameJob, LampFrame, RasterCamera, RayLight};
+use relume_engine::{ColourMode, DeviceError, FrameJob, LampFrame, RasterCamera, RayLight};
 use relume_layout::constants::TILE;
 use relume_scene::{Camera, Model};
 use relume_spec::rendering::{Lamp, Output, Quality, Tier};
@@ -68,7 +68,7 @@ impl Renderer {
         quality: impl Into<Quality>,
         outputs: &[Output],
     ) -> Result<Frame, RenderError> {
-        let mut bands = self.bands(camera, light, quality.into(), outputs)?;
+        let mut bands = self.bands(camera, light, quality.into(), outputs)?.undivided();
         while bands.render_next()? {}
         Ok(bands.into_frame())
     }
@@ -154,6 +154,20 @@ fn of_device(outputs: &[Output]) -> Vec<Output> {
 }
 
 impl Bands<'_> {
+    /// Renders colour in as few bands as memory allows, for a caller that has nothing to interleave. Every band repeats projection and
+    /// sorting.
+    #[must_use]
+    pub fn undivided(self) -> Self {
+        let tier = self.quality.tier;
+        let is_cheap = matches!(tier, Tier::Preview | Tier::Standard);
+        if self.done > 0 || !is_cheap || self.renderer.colour(tier, &self.of_device) != ColourMode::Alone {
+            return self;
+        }
+        let max_rows = self.renderer.frames.max_rows(self.view.width, ColourMode::Alone);
+        let rows = rows(self.view.width, self.quality, Quality::BAND_COST, max_rows);
+        Self { rows, ..self }
+    }
+
     /// Sets the height of the ground, capture units. Default, and with `None`: [`Renderer::ground_height`].
     #[must_use]
     pub fn on_ground(self, height: Option<f64>) -> Self {
