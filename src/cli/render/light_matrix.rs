@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::args::RenderArgs;
 use super::numbering::Numbering;
+use super::sequence::SequenceFrames;
 use super::session::file_name;
 use super::{asked_views, sequence};
 use crate::cli::error::CommandResult;
@@ -38,7 +39,7 @@ pub(super) fn run(
     let renderer = Renderer::new(model);
     let lights = renderer.matrix_lights(&LightLobes::new(lobes), suns);
     eprintln!("lobes: {lobes}, strong small lights: {}", lights.parts().len() - lobes);
-    let session = MatrixSession { args, renderer: &renderer, lights: &lights };
+    let mut session = MatrixSession { args, renderer: &renderer, lights: &lights };
     match (numbering, views.as_slice()) {
         (None, [view]) => {
             session.write(&args.out, view)?;
@@ -46,9 +47,7 @@ pub(super) fn run(
             Ok(())
         }
         (None, _) => Err(format!("{}: {}", args.out.display(), Numbering::WANTED).into()),
-        (Some(numbering), views) => {
-            sequence::sequence(views, numbering, &args.sequence, |file, view| session.write(file, view))
-        }
+        (Some(numbering), views) => sequence::sequence(views, numbering, &args.sequence, &mut session),
     }
 }
 
@@ -118,9 +117,9 @@ struct MatrixSession<'a> {
     lights: &'a MatrixLights,
 }
 
-impl MatrixSession<'_> {
+impl SequenceFrames for MatrixSession<'_> {
     /// Writes the matrix of one view.
-    fn write(&self, path: &Path, view: &FrameView) -> CommandResult {
+    fn write(&mut self, path: &Path, view: &FrameView) -> CommandResult {
         let args = self.args;
         let metadata = FrameMetadata {
             model: file_name(&args.model),

@@ -3,6 +3,7 @@
 mod args;
 mod camera_file;
 mod frame_list;
+mod frame_writer;
 mod light_matrix;
 mod numbering;
 mod sequence;
@@ -13,14 +14,14 @@ mod views;
 use std::path::Path;
 
 use crate::cli::error::CommandResult;
-use crate::cli::output;
 use relume_scene::Model;
 use relume_spec::rendering::{FrameFormat, Output};
-use relume_train::render::{FrameView, RotatedLight};
+use relume_train::render::FrameView;
 use relume_train::up_of_card;
 
 pub(super) use args::{RenderArgs, finite, up_to};
 use numbering::Numbering;
+use sequence::Pictures;
 use session::RenderSession;
 
 pub(super) fn run(args: &RenderArgs) -> CommandResult {
@@ -38,10 +39,7 @@ pub(super) fn run(args: &RenderArgs) -> CommandResult {
         (None, [view]) => sequence::single(&session, view, &args.out),
         (None, _) => Err(format!("{}: {}", args.out.display(), Numbering::WANTED).into()),
         (Some(numbering), views) => {
-            let mut light = RotatedLight::default();
-            sequence::sequence(views, &numbering, &args.sequence, |file, view| {
-                Ok(output::write_named(file, &session.picture(view, &mut light)?)?)
-            })
+            sequence::sequence(views, &numbering, &args.sequence, &mut Pictures::of(&session))
         }
     }
 }

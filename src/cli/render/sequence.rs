@@ -6,26 +6,63 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::args::SequenceArgs;
 use super::frame_list::FrameList;
+use super::frame_writer::FrameWriter;
 use super::numbering::Numbering;
 use super::session::RenderSession;
 use crate::cli::error::CommandResult;
 use crate::cli::output;
 use relume_train::render::{FrameView, RotatedLight};
 
+/// Renders the frames of a sequence and writes their files.
+pub(super) trait SequenceFrames {
+    /// Renders a frame. Its file exists when the next frame is complete, or after [`Self::finish`].
+    fn write(&mut self, file: &Path, view: &FrameView) -> CommandResult;
+
+    /// Waits until all files are written.
+    fn finish(&mut self) -> CommandResult {
+        Ok(())
+    }
+}
+
+/// The pictures of a session.
+pub(super) struct Pictures<'a> {
+    session: &'a RenderSession,
+    light: RotatedLight,
+    writer: FrameWriter,
+}
+
+impl<'a> Pictures<'a> {
+    pub(super) fn of(session: &'a RenderSession) -> Self {
+        Self { session, light: RotatedLight::default(), writer: FrameWriter::default() }
+    }
+}
+
+impl SequenceFrames for Pictures<'_> {
+    fn write(&mut self, file: &Path, view: &FrameView) -> CommandResult {
+        let picture = self.session.picture(view, &mut self.light)?;
+        let file = file.to_owned();
+        self.writer.start(move || Ok(output::write_named(&file, &picture.encoded()?)?))
+    }
+
+    fn finish(&mut self) -> CommandResult {
+        self.writer.finish()
+    }
+}
+
 /// Writes one image.
 pub(super) fn single(session: &RenderSession, view: &FrameView, out: &Path) -> CommandResult {
-    output::write_named(out, &session.picture(view, &mut RotatedLight::default())?)?;
+    output::write_named(out, &session.picture(view, &mut RotatedLight::default())?.encoded()?)?;
     eprintln!("wrote {}", out.display());
     Ok(())
 }
 
-/// Writes the frames of `views` in order, or only those with the requested numbers, each by `write`. With `resume`, existing files are
+/// Writes the frames of `views` in order, or only those with the requested numbers. With `resume`, existing files are
 /// not changed.
 pub(super) fn sequence(
     views: &[FrameView],
     numbering: &Numbering,
     args: &SequenceArgs,
-    mut write: impl FnMut(&Path, &FrameView) -> CommandResult,
+    frames_of: &mut impl SequenceFrames,
 ) -> CommandResult {
     let frames = asked_for(views, numbering, args.frames.as_ref())?;
     let bar = ProgressBar::new(frames.len() as u64);
@@ -33,7 +70,11 @@ pub(super) fn sequence(
     let mut written = 0;
     for (done, (file, view)) in (1_usize..).zip(&frames) {
         if !(args.resume && file.exists()) {
-            write(file, view)?;
+            if let Err(error) = frames_of.write(file, view) {
+                // The frame before is complete; its file is kept.
+                frames_of.finish()?;
+                return Err(error);
+            }
             written += 1;
         }
         // Without a terminal the bar is hidden: about 20 lines are printed instead.
@@ -43,6 +84,7 @@ pub(super) fn sequence(
         bar.set_message(file.display().to_string());
         bar.set_position(done as u64);
     }
+    frames_of.finish()?;
     bar.finish();
     let there = frames.len() - written;
     let kept = if there > 0 { format!(", existed already: {there}") } else { String::new() };

@@ -10,7 +10,9 @@ use crate::cli::light::illumination;
 use relume_engine::Device;
 use relume_scene::{Illumination, Model};
 use relume_spec::rendering::{Background, FrameFormat, Lamp, Output, Quality, Tier};
-use relume_train::render::{EncodeOptions, FrameMetadata, FrameView, Renderer, RotatedLight, encode_frame};
+use relume_train::render::{
+    EncodeOptions, Frame, FrameMetadata, FrameView, Renderer, RotatedLight, encode_frame,
+};
 
 /// A model and a light, ready for rendering.
 pub(super) struct RenderSession {
@@ -72,9 +74,9 @@ impl RenderSession {
         self.renderer.model()
     }
 
-    /// Renders a view to the bytes of an image file. `light` has the light of the previous view; it is prepared again if
+    /// Renders a view. `light` has the light of the previous view; it is prepared again if
     /// its rotation differs.
-    pub(super) fn picture(&self, view: &FrameView, light: &mut RotatedLight) -> CommandResult<Vec<u8>> {
+    pub(super) fn picture(&self, view: &FrameView, light: &mut RotatedLight) -> CommandResult<Picture> {
         let rotation_deg = self.encoding.frame_metadata.rotation_deg + view.light_rotation_deg;
         let light = light.at(&self.renderer, &self.light, rotation_deg)?;
         let FrameView { camera, .. } = view;
@@ -89,7 +91,22 @@ impl RenderSession {
         let frame_metadata =
             FrameMetadata { camera: Some(*camera), rotation_deg, ..self.encoding.frame_metadata.clone() };
         let encoding = EncodeOptions { frame_metadata, ..self.encoding.clone() };
-        Ok(encode_frame(&frame, &self.outputs, self.format, &encoding)?.bytes)
+        Ok(Picture { frame, outputs: self.outputs.clone(), format: self.format, encoding })
+    }
+}
+
+/// A rendered view that is not encoded yet.
+pub(super) struct Picture {
+    frame: Frame,
+    outputs: Vec<Output>,
+    format: FrameFormat,
+    encoding: EncodeOptions,
+}
+
+impl Picture {
+    /// The bytes of the image file.
+    pub(super) fn encoded(&self) -> CommandResult<Vec<u8>> {
+        Ok(encode_frame(&self.frame, &self.outputs, self.format, &self.encoding)?.bytes)
     }
 }
 

@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use rayon::prelude::*;
+
 use crate::render::{EncodeOptions, Frame, cryptomatte};
 use relume_capture::formats::ImageFileError;
 use relume_capture::formats::exr_frame::{self, FrameLayer, FrameLayers};
@@ -13,6 +15,8 @@ use relume_spec::rendering::{
 };
 
 const JPEG_QUALITY: u8 = 90;
+/// Least number of pixels that one thread encodes for display.
+const PIXELS_PER_TASK: usize = 1 << 12;
 
 /// An encoded frame.
 #[derive(Debug)]
@@ -109,7 +113,7 @@ fn plane(frame: &Frame, output: Output) -> Result<&[f32], ImageFileError> {
 }
 
 /// The integer type of a channel.
-trait ChannelLevel: Copy {
+trait ChannelLevel: Copy + Send {
     /// The level nearest to a value in [0, 1].
     fn nearest(value: f32) -> Self;
 
@@ -164,7 +168,7 @@ fn colour<L: ChannelLevel>(
         };
         [r, g, b, L::nearest(alpha)]
     };
-    Ok(pixels.iter().zip(alpha).map(pixel).collect())
+    Ok(pixels.par_iter().zip(alpha).with_min_len(PIXELS_PER_TASK).map(pixel).collect())
 }
 
 /// Coverage of a pixel for `output`.
@@ -283,7 +287,8 @@ fn scene_referred<'a>(
 
 fn over_white(pixels: &[[u8; 4]]) -> Vec<[u8; 3]> {
     let blend = |c: u8, a: u8| ((u32::from(c) * u32::from(a) + 255 * (255 - u32::from(a)) + 127) / 255) as u8;
-    pixels.iter().map(|&[r, g, b, a]| [blend(r, a), blend(g, a), blend(b, a)]).collect()
+    let pixels = pixels.par_iter().with_min_len(PIXELS_PER_TASK);
+    pixels.map(|&[r, g, b, a]| [blend(r, a), blend(g, a), blend(b, a)]).collect()
 }
 
 /// Finite depths mapped linearly to 0 to 65,534; 65,535 without a surface.
