@@ -415,6 +415,27 @@ mod tests {
     }
 
     #[test]
+    fn colour_without_interruptions_is_one_band() {
+        let renderer = balls();
+        let light = renderer.prepare_light(EnvMap::constant(8, 4, [1.0; 3])).unwrap();
+        let camera =
+            Camera::look_at(DVec3::new(0.2, -3.0, 0.4), DVec3::ZERO, DVec3::Z, 0.7, (800, 800)).unwrap();
+        let bands =
+            |outputs: &[Output], tier: Tier| renderer.bands(&camera, &light, tier.into(), outputs).unwrap();
+        assert!(bands(&[Output::Rgb], Tier::Preview).rows < 800);
+        assert!(bands(&[Output::Rgb], Tier::Preview).undivided().rows >= 800);
+        for (outputs, tier) in
+            [(vec![Output::Rgb, Output::Normal], Tier::Preview), (vec![Output::Rgb], Tier::High)]
+        {
+            assert_eq!(
+                bands(&outputs, tier).undivided().rows,
+                bands(&outputs, tier).rows,
+                "{outputs:?} {tier:?}"
+            );
+        }
+    }
+
+    #[test]
     fn light_of_another_renderer_is_refused() {
         let (renderer, other) = (balls(), balls());
         let camera = Camera::look_at(DVec3::new(0.2, -3.0, 0.4), DVec3::ZERO, DVec3::Z, 0.7, (8, 8)).unwrap();
