@@ -177,7 +177,7 @@ pub struct FramesExport {
     #[serde(default = "rgb_only")]
     #[schema(value_type = Vec<String>, example = json!(["rgb"]))]
     pub outputs: Vec<Output>,
-    /// Height (z) of the ground for the outputs of the ground, units of the capture. Omitted: the lowest visible
+    /// Height (z) of the ground for `shadow`, `bounce` and the other outputs of the ground, units of the capture. Omitted: the lowest visible
     /// point of the model.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub ground_height: Option<f64>,
