@@ -85,16 +85,19 @@ def on_floor(model, shadow):
 
 
 def shadow_passes(relume, model, sun, out):
-    """A model, its shadow pass, and both over a floor; and a moving picture of the latter under a turning sun."""
+    """A model, its shadow pass, the parts of the pass by sun and sky, and the model over a floor; and a moving picture of the latter under a turning sun."""
     common = ["--env", sun, "--elevation", 30]
     with tempfile.TemporaryDirectory() as folder:
+        turning = ["--turntable", FRAMES, "--camera-turn", 0, "--env-turn", 360]
         for output in ("rgb", "shadow"):
-            render(relume, model, f"{folder}/{output}.png", *common, "--size", VIEW_SIZE, "--output", output)
-            turning = ["--turntable", FRAMES, "--camera-turn", 0, "--env-turn", 360]
             render(relume, model, f"{folder}/{output}-%03d.png", *common, "--size", SIZE, "--output", output, *turning)
-        alone, shadow = (Image.open(f"{folder}/{output}.png") for output in ("rgb", "shadow"))
-        sheet = Image.new("RGB", (3 * VIEW_SIZE, VIEW_SIZE), PAPER)
-        for column, picture in enumerate((on_paper(alone), shadow.convert("RGB"), on_floor(alone, shadow))):
+        outputs = ("rgb", "shadow", "shadow_key", "shadow_fill")
+        for output in outputs:
+            render(relume, model, f"{folder}/{output}.png", *common, "--size", VIEW_SIZE, "--output", output)
+        alone, *passes = (Image.open(f"{folder}/{output}.png").convert("RGBA") for output in outputs)
+        pictures = [on_paper(alone), *(picture.convert("RGB") for picture in passes), on_floor(alone, passes[0])]
+        sheet = Image.new("RGB", (len(pictures) * VIEW_SIZE, VIEW_SIZE), PAPER)
+        for column, picture in enumerate(pictures):
             sheet.paste(picture, (column * VIEW_SIZE, 0))
         sheet.save(out / "shadow-passes.webp", quality=QUALITY + 6, method=6)
         paths = [sorted(pathlib.Path(folder).glob(f"{output}-*.png")) for output in ("rgb", "shadow")]
