@@ -13,13 +13,6 @@ pub struct Neighbours {
     pub next: Option<Camera>,
 }
 
-impl Neighbours {
-    /// Whether the frame belongs to a sequence.
-    pub fn exist(&self) -> bool {
-        self.previous.is_some() || self.next.is_some()
-    }
-}
-
 /// Motion of the surface points of a frame, pixels, row-major: to the next frame, right and up, then to the previous frame, right and up.
 /// At an end of the sequence the missing motion is the reverse of the other one. Zero where `depths` has no surface, and towards a camera
 /// behind which the point lies. `points` has three coordinates per pixel, capture units.
