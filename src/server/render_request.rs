@@ -77,7 +77,7 @@ pub(super) fn check_ground(height: Option<f64>, outputs: &[Output]) -> Result<()
     match height {
         Some(height) if !height.is_finite() => refuse("must be finite"),
         Some(_) if !outputs.iter().any(|output| output.is_of_ground()) => refuse(
-            "applies to the outputs shadow, shadow_key, shadow_fill, bounce and contact; add one of them to outputs",
+            "applies to the outputs shadow, shadow_key, shadow_fill, bounce, contact, lamp_light and lamp_shadow; add one of them to outputs",
         ),
         _ => Ok(()),
     }
@@ -92,16 +92,17 @@ pub(super) fn check_lamps(
     if lamps.is_empty() {
         return Ok(());
     }
-    let shows = |output: &Output| matches!(output, Output::Rgb | Output::Diffuse | Output::Specular);
-    if !outputs.iter().any(shows) {
-        let detail = "applies to the outputs rgb, diffuse and specular; add one of them to outputs";
+    if !outputs.iter().any(|output| output.shows_lamps()) {
+        let detail = "applies to the outputs rgb, diffuse, specular, lamp_light and lamp_shadow; add one of them to outputs";
         return Err(Problem::invalid_field("/lamps", detail));
     }
     let most = MAX_LAMP_PIXELS / (u64::from(size.0) * u64::from(size.1)).max(1);
-    let traces = matches!(tier, Tier::High | Tier::MonteCarlo);
+    let traces = matches!(tier, Tier::High | Tier::MonteCarlo)
+        || outputs.iter().any(|output| output.is_of_lamps_on_ground());
     if traces && lamps.len() as u64 > most {
         let detail = format!(
-            "pixels times lamps must be at most {MAX_LAMP_PIXELS} in this tier: {most} lamps for this size, got {}",
+            "pixels times lamps must be at most {MAX_LAMP_PIXELS} in the tiers high and monte_carlo and for lamps on the ground: \
+             {most} lamps for this size, got {}",
             lamps.len()
         );
         return Err(Problem::invalid_field("/lamps", detail));

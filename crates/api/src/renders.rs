@@ -47,7 +47,7 @@ pub struct RenderRequest {
     pub seed: Option<u64>,
     /// Outputs, each at most once: `rgb`, `albedo`, `normal`, `metallic`, `roughness`, `visibility`, `depth`,
     /// `alpha`, `diffuse`, `specular`, `radiance`, `confidence`, those of the ground below the model: `shadow`,
-    /// `shadow_key`, `shadow_fill`, `bounce` and `contact`,
+    /// `shadow_key`, `shadow_fill`, `bounce`, `contact`, and with lamps `lamp_light` and `lamp_shadow`,
     /// and those that need EXR: `position`, `material_id`, `cryptomatte` and, in exports of frames, `motion`. PNG and JPEG hold one output, EXR holds all. Omitted: `["rgb"]`.
     #[serde(default = "rgb_only")]
     #[schema(value_type = Vec<String>, example = json!(["rgb"]))]

@@ -34,9 +34,9 @@ pub use adam::{StepCounts, StepSizes};
 pub use adapter::{AdapterReport, DeviceChoice, choose_adapter};
 pub use camera::RasterCamera;
 pub use cpu::{
-    Ground, GroundRadiance, GroundView, HostLight, HostModel, Lamp, LampCone, LampFrame, LampShadows,
-    LightMatrix, MatrixLight, OccluderBvh, ShadedColumns, Surface, SurfaceEdit, SurfaceShader,
-    VisibleSurface,
+    Ground, GroundRadiance, GroundView, HostLight, HostModel, Lamp, LampCone, LampFrame, LampGround,
+    LampLight, LampShadows, LightMatrix, MatrixLight, OccluderBvh, ShadedColumns, Surface, SurfaceEdit,
+    SurfaceShader, VisibleSurface,
 };
 pub use density::{DensityPlan, DensitySignals, DensityStats, PlannedGaussian, SplitOrigin};
 pub use device::{Device, adapters};

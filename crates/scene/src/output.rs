@@ -43,6 +43,10 @@ pub enum Output {
     ShadowKey,
     /// The part of `shadow` that is light of the rest of the map (3).
     ShadowFill,
+    /// Radiance of a white diffuse ground under the lamps alone, with the shadow of the model; 0 without ground (3).
+    LampLight,
+    /// Share of the light of the lamps that reaches the ground past the model, per channel; 1 where no lamp shines (3).
+    LampShadow,
     /// Confidence in the materials of the surface, 0 to 1; 0 in empty pixels (1).
     Confidence,
     /// Where the point of the surface is in the next and in the previous frame of a sequence, pixels to the right and upwards from
@@ -59,7 +63,13 @@ impl Output {
     pub fn channels(self) -> usize {
         match self {
             Self::Rgb | Self::Albedo | Self::Normal | Self::Diffuse | Self::Specular | Self::Radiance => 3,
-            Self::Position | Self::Shadow | Self::ShadowKey | Self::ShadowFill | Self::Bounce => 3,
+            Self::Position
+            | Self::Shadow
+            | Self::ShadowKey
+            | Self::ShadowFill
+            | Self::Bounce
+            | Self::LampLight
+            | Self::LampShadow => 3,
             Self::Metallic
             | Self::Roughness
             | Self::Visibility
@@ -85,6 +95,18 @@ impl Output {
 
     /// Whether the ground below the model has this plane, and not the model.
     pub fn is_of_ground(self) -> bool {
-        matches!(self, Self::Shadow | Self::ShadowKey | Self::ShadowFill | Self::Bounce | Self::Contact)
+        let is_of_map =
+            matches!(self, Self::Shadow | Self::ShadowKey | Self::ShadowFill | Self::Bounce | Self::Contact);
+        is_of_map || self.is_of_lamps_on_ground()
+    }
+
+    /// Whether this plane is light of lamps on the ground.
+    pub fn is_of_lamps_on_ground(self) -> bool {
+        matches!(self, Self::LampLight | Self::LampShadow)
+    }
+
+    /// Whether this plane shows lamps, on the model or on the ground.
+    pub fn shows_lamps(self) -> bool {
+        matches!(self, Self::Rgb | Self::Diffuse | Self::Specular) || self.is_of_lamps_on_ground()
     }
 }

@@ -202,3 +202,37 @@ fn position_is_the_depth_along_the_pixel() {
     }
     assert!(covered > 100);
 }
+
+#[test]
+fn lamps_light_the_ground_past_the_model() {
+    let renderer = renderer();
+    let light = renderer.prepare_light(sun()).unwrap();
+    let outputs = [Output::Shadow, Output::LampLight, Output::LampShadow];
+    let of = |lamps: &[&str]| {
+        let bands = renderer.bands(&above(SIZE), &light, Tier::Standard.into(), &outputs).unwrap();
+        let lamps = lamps.iter().map(|lamp| lamp.parse().unwrap()).collect();
+        let mut bands = bands.on_ground(Some(2.99)).with_lamps(lamps);
+        while bands.render_next().unwrap() {}
+        bands.into_frame()
+    };
+    let lamp = "point position=0,0,7 radius=0.1 intensity=10";
+    let (dark, one, two) = (of(&[]), of(&[lamp]), of(&[lamp, lamp]));
+    assert!(dark.planes[&Output::LampLight].iter().all(|v| *v == 0.0));
+    assert!(dark.planes[&Output::LampShadow].iter().all(|v| *v == 1.0));
+    let [light, shadow] =
+        [Output::LampLight, Output::LampShadow].map(|output| one.planes[&output].as_chunks::<3>().0.to_vec());
+    let darkest = shadow.iter().map(|v| v[0]).fold(1.0, f32::min);
+    assert!(darkest < 0.1, "the table casts a shadow: {darkest}");
+    // 4.01 below the lamp a white ground has the radiance 10 / 4.01^2 / pi, elsewhere less.
+    let brightest = light.iter().map(|v| v[0]).fold(0.0, f32::max);
+    assert!((0.03..0.2).contains(&brightest), "{brightest}");
+    let is_dark = |(light, shadow): (&[f32; 3], &[f32; 3])| light[0] < 0.2 * brightest && shadow[0] < 0.1;
+    assert!(light.iter().zip(&shadow).any(is_dark), "no light in the shadow");
+    assert_eq!(
+        one.planes[&Output::Shadow],
+        dark.planes[&Output::Shadow],
+        "lamps do not change the map's shadow"
+    );
+    let apart = two.planes[&Output::LampLight].iter().zip(&one.planes[&Output::LampLight]);
+    assert!(apart.map(|(two, one)| (two - 2.0 * one).abs()).fold(0.0, f32::max) < 1e-6, "lamps add up");
+}

@@ -42,7 +42,7 @@ pub(in crate::cli) struct RenderArgs {
     /// without materials `radiance`.
     #[arg(long, value_delimiter = ',', value_parser = named::<Output>)]
     pub(super) output: Vec<Output>,
-    /// Height (z) of the ground for the outputs `shadow`, `shadow_key`, `shadow_fill`, `bounce` and `contact`, units of the capture. Default: the lowest visible point of the model.
+    /// Height (z) of the ground for the outputs `shadow`, `shadow_key`, `shadow_fill`, `bounce`, `contact`, `lamp_light` and `lamp_shadow`, units of the capture. Default: the lowest visible point of the model.
     #[arg(long, value_name = "Z", allow_negative_numbers = true, value_parser = finite)]
     pub(super) ground_height: Option<f64>,
     /// Background: `transparent` (white in a JPEG), `environment` or a colour such as `f4f4f4`.
@@ -78,11 +78,10 @@ pub(in crate::cli) struct RenderArgs {
 impl RenderArgs {
     /// The lamps.
     pub(super) fn lamps(&self) -> Result<Vec<Lamp>, String> {
-        use Output::{Diffuse, Rgb, Specular};
-        let shows = |output: &Output| matches!(output, Rgb | Diffuse | Specular);
-        if !self.lamps.is_empty() && !self.output.is_empty() && !self.output.iter().any(shows) {
+        let shows_lamps = self.output.is_empty() || self.output.iter().any(|output| output.shows_lamps());
+        if !self.lamps.is_empty() && !shows_lamps {
             return Err(
-                "--lamp: applies to the outputs rgb, diffuse and specular; add one of them to --output"
+                "--lamp: applies to the outputs rgb, diffuse, specular, lamp_light and lamp_shadow; add one of them to --output"
                     .to_owned(),
             );
         }
@@ -97,7 +96,7 @@ impl RenderArgs {
         use Output::{Alpha, Contact, Depth, Motion, Normal, Position, Radiance, Rgb};
         if self.ground_height.is_some() && !self.output.iter().any(|output| output.is_of_ground()) {
             return Err(
-                "--ground-height: applies to the outputs shadow, shadow_key, shadow_fill, bounce and contact; add --output".to_owned()
+                "--ground-height: applies to the outputs shadow, shadow_key, shadow_fill, bounce, contact, lamp_light and lamp_shadow; add --output".to_owned()
             );
         }
         let relightable = model.has_materials();

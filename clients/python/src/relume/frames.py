@@ -30,6 +30,8 @@ _CHANNELS = {
     "shadow_key": ("shadow_key.R", "shadow_key.G", "shadow_key.B"),
     "shadow_fill": ("shadow_fill.R", "shadow_fill.G", "shadow_fill.B"),
     "bounce": ("bounce.R", "bounce.G", "bounce.B"),
+    "lamp_light": ("lamp_light.R", "lamp_light.G", "lamp_light.B"),
+    "lamp_shadow": ("lamp_shadow.R", "lamp_shadow.G", "lamp_shadow.B"),
     "contact": ("contact.Y",),
     "confidence": ("confidence.Y",),
     "motion": ("forward.u", "forward.v", "backward.u", "backward.v"),

@@ -112,6 +112,11 @@ impl<'a> GroundRadiance<'a> {
 }
 
 impl Ground {
+    /// The Gaussians above the plane.
+    pub(super) fn occluders(&self) -> impl Iterator<Item = Occluder> + '_ {
+        self.occluders.iter().map(|(_, occluder)| *occluder)
+    }
+
     /// Number of directions to compute together, whose pictures have `side` texels along a side: a call takes a fraction of a second, and its
     /// pictures at most 32 MiB.
     pub fn group(&self, side: usize) -> usize {

@@ -24,7 +24,7 @@ const STEP_RAYS: usize = 1 << 19;
 /// Splats of one parallel task.
 const SPLATS_AT_ONCE: usize = 64;
 /// Least distance of a lamp, normalised world: nearer surfaces receive as much light as at this distance.
-const MIN_DISTANCE: f32 = 0.01;
+pub(super) const MIN_DISTANCE: f32 = 0.01;
 
 /// A lamp in the normalised world.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,7 +54,7 @@ pub struct LampCone {
 
 impl Lamp {
     /// Radiant intensity of the whole lamp in the unit direction `away`, as a share of that along its axis.
-    fn emission(&self, away: Vec3) -> f32 {
+    pub(super) fn emission(&self, away: Vec3) -> f32 {
         let flat = self.normal.map_or(1.0, |normal| dot(normal, away).max(0.0));
         flat * self.cone.map_or(1.0, |cone| {
             let place = (dot(cone.axis, away) - cone.outer) / (cone.inner - cone.outer).max(1e-6);
@@ -247,7 +247,7 @@ impl LampShading<'_> {
 }
 
 /// Unit direction and distance from one point to another.
-fn direction(from: Vec3, to: Vec3) -> (Vec3, f32) {
+pub(super) fn direction(from: Vec3, to: Vec3) -> (Vec3, f32) {
     let offset: Vec3 = std::array::from_fn(|k| to[k] - from[k]);
     let distance = dot(offset, offset).sqrt();
     (offset.map(|v| v / distance.max(1e-9)), distance)

@@ -40,7 +40,12 @@ struct BoundedOccluder {
 impl OccluderBvh {
     /// Builds the tree over the Gaussians of `source`; `settings` determine which of them count for a ray.
     pub fn new(source: &AttributeSource<'_>, settings: ProbeSettings) -> Self {
-        let mut boxes: Vec<BoundedOccluder> = occluders(source).into_iter().filter_map(boxed).collect();
+        Self::of(occluders(source), settings)
+    }
+
+    /// The tree over `occluders`.
+    pub(super) fn of(occluders: Vec<Occluder>, settings: ProbeSettings) -> Self {
+        let mut boxes: Vec<BoundedOccluder> = occluders.into_iter().filter_map(boxed).collect();
         let mut nodes = Vec::with_capacity(2 * boxes.len() / LEAF + 1);
         if !boxes.is_empty() {
             build(&mut boxes, 0, &mut nodes);

@@ -219,8 +219,8 @@ impl Bands<'_> {
         self.add_points();
         let outputs = &self.outputs;
         self.frame.planes.retain(|output, _| outputs.contains(output));
-        let shows = |output: &Output| matches!(output, Output::Rgb | Output::Diffuse | Output::Specular);
-        if self.lamps.is_empty() || !self.outputs.iter().any(shows) {
+        let is_lit = |output: &Output| output.shows_lamps() && !output.is_of_ground();
+        if self.lamps.is_empty() || !self.outputs.iter().any(is_lit) {
             return self.begin_ground();
         }
         self.begin_lamps(0);
@@ -257,7 +257,8 @@ impl Bands<'_> {
             return false;
         }
         let height = self.renderer.normalised_height(self.ground);
-        let planes = GroundPlanes::new(self.renderer, self.light, &self.view, height, &self.outputs);
+        let lights = (self.light, &self.lamps[..]);
+        let planes = GroundPlanes::new(self.renderer, lights, &self.view, height, &self.outputs);
         self.rest = Rest::Ground(Box::new(planes));
         true
     }

@@ -248,6 +248,8 @@ fn layer_names(output: Output) -> &'static [(&'static str, &'static str)] {
         Output::Shadow => &[("shadow", "RGB")],
         Output::ShadowKey => &[("shadow_key", "RGB")],
         Output::ShadowFill => &[("shadow_fill", "RGB")],
+        Output::LampLight => &[("lamp_light", "RGB")],
+        Output::LampShadow => &[("lamp_shadow", "RGB")],
         Output::Bounce => &[("bounce", "RGB")],
         Output::Contact => &[("contact", "Y")],
         Output::Confidence => &[("confidence", "Y")],

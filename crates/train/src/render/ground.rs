@@ -2,10 +2,12 @@
 
 use glam::DVec3;
 
+use crate::render::lamps_on_ground::LampsOnGround;
 use crate::render::{Frame, PreparedLight, Renderer};
 use relume_engine::{Ground, GroundRadiance, GroundView, RasterCamera};
 use relume_scene::Output;
 use relume_scene::light::{LightCell, disc_points, light_cells};
+use relume_spec::rendering::Lamp;
 
 /// Cells of the light, besides its strong small lights.
 const CELLS: usize = 256;
@@ -38,6 +40,7 @@ pub(super) struct GroundPlanes<'a> {
     /// Irradiance of the points: of the strong small lights, and of the rest.
     received: [Vec<[f32; 3]>; 2],
     views: Vec<GroundView>,
+    lamps: Option<LampsOnGround>,
     /// Cells and directions that are done.
     done: [usize; 2],
 }
@@ -50,16 +53,21 @@ struct GroundPoint {
     parts: [[f32; 3]; 2],
     bounce: [f32; 3],
     contact: f32,
+    lamp_light: [f32; 3],
+    lamp_shadow: [f32; 3],
 }
 
 impl GroundPoint {
     fn mix(self, other: Self, share: f32) -> Self {
         let mix = |a: f32, b: f32| a + share * (b - a);
+        let mix_colours = |a: [f32; 3], b: [f32; 3]| std::array::from_fn(|c| mix(a[c], b[c]));
         Self {
-            shadow: std::array::from_fn(|c| mix(self.shadow[c], other.shadow[c])),
-            parts: std::array::from_fn(|k| std::array::from_fn(|c| mix(self.parts[k][c], other.parts[k][c]))),
-            bounce: std::array::from_fn(|c| mix(self.bounce[c], other.bounce[c])),
+            shadow: mix_colours(self.shadow, other.shadow),
+            parts: std::array::from_fn(|k| mix_colours(self.parts[k], other.parts[k])),
+            bounce: mix_colours(self.bounce, other.bounce),
             contact: mix(self.contact, other.contact),
+            lamp_light: mix_colours(self.lamp_light, other.lamp_light),
+            lamp_shadow: mix_colours(self.lamp_shadow, other.lamp_shadow),
         }
     }
 
@@ -70,16 +78,18 @@ impl GroundPoint {
             Output::ShadowKey => plane.extend(key),
             Output::ShadowFill => plane.extend(fill),
             Output::Bounce => plane.extend(self.bounce),
+            Output::LampLight => plane.extend(self.lamp_light),
+            Output::LampShadow => plane.extend(self.lamp_shadow),
             _ => plane.push(self.contact),
         }
     }
 }
 
 impl<'a> GroundPlanes<'a> {
-    /// Prepares the planes among `outputs` for the ground at `height`, normalised world.
+    /// Prepares the planes among `outputs` for the ground at `height`, normalised world, under a map and lamps.
     pub(super) fn new(
         renderer: &'a Renderer,
-        light: &'a PreparedLight,
+        (light, lamps): (&'a PreparedLight, &[Lamp]),
         view: &RasterCamera,
         height: f32,
         outputs: &[Output],
@@ -96,11 +106,15 @@ impl<'a> GroundPlanes<'a> {
         let has_shadow = is_asked(&[Output::Shadow, Output::ShadowKey, Output::ShadowFill]);
         let has_views = is_asked(&[Output::Bounce, Output::Contact]);
         let has_radiance = is_asked(&[Output::Bounce]);
+        let has_lamps = !lamps.is_empty() && is_asked(&[Output::LampLight, Output::LampShadow]);
+        let ground = renderer.host().ground(height);
+        let on_ground = || LampsOnGround::new(lamps, renderer.model(), &ground, points.len());
         Self {
             size,
             step,
             hits: hits.iter().map(Option::is_some).collect(),
-            ground: renderer.host().ground(height),
+            lamps: has_lamps.then(on_ground),
+            ground,
             side: (width.max(height_px) / 2).clamp(SIDES[0], SIDES[1]),
             cells: light_cells(&light.source, CELLS),
             directions: if has_views { cosine_directions(DIRECTIONS) } else { Vec::new() },
@@ -113,7 +127,7 @@ impl<'a> GroundPlanes<'a> {
         }
     }
 
-    /// Computes a group of directions. Returns false when all are done.
+    /// Computes a group of directions, or a part of the light of a lamp. Returns false when all are done.
     pub(super) fn step(&mut self) -> bool {
         let next = |done: usize, count: usize| done..(done + self.ground.group(self.side)).min(count);
         let cells = if self.received[0].is_empty() { 0 } else { self.cells.len() };
@@ -130,8 +144,10 @@ impl<'a> GroundPlanes<'a> {
             self.done[1] = group.end;
             let (directions, light) = (&self.directions[group], self.radiance.as_ref());
             self.ground.add_views(&mut self.views, &self.points, directions, light, SEEN_SIDE);
+        } else {
+            return self.lamps.as_mut().is_some_and(|lamps| lamps.step(&self.points));
         }
-        self.done[0] < cells || self.done[1] < directions
+        self.lamps.is_some() || self.done[0] < cells || self.done[1] < directions
     }
 
     /// Adds the planes to `frame`.
@@ -179,6 +195,8 @@ impl<'a> GroundPlanes<'a> {
                 parts: [0, 1].map(part),
                 bounce: [0.0; 3],
                 contact: 1.0,
+                lamp_light: [0.0; 3],
+                lamp_shadow: [1.0; 3],
             }
         };
         let without_ground = lit(sums);
@@ -190,6 +208,10 @@ impl<'a> GroundPlanes<'a> {
             let GroundView { open: contact, radiance } = view.mean(self.directions.len());
             point.contact = contact;
             point.bounce = std::array::from_fn(|c| share(std::f32::consts::PI * radiance[c], c, 0.0));
+        }
+        let of_lamps = self.lamps.iter().flat_map(LampsOnGround::light_and_shadow);
+        for (point, [light, shadow]) in points.iter_mut().zip(of_lamps) {
+            (point.lamp_light, point.lamp_shadow) = (light, shadow);
         }
         (without_ground, points)
     }

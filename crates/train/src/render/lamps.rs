@@ -47,7 +47,7 @@ pub(super) fn add_lamps(frame: &mut Frame, first: usize, [diffuse, specular]: &[
 }
 
 /// A lamp in the normalised world of `model`.
-fn normalised(lamp: &Lamp, model: &Model) -> EngineLamp {
+pub(super) fn normalised(lamp: &Lamp, model: &Model) -> EngineLamp {
     let scale = model.world_scale;
     let place = |p: [f64; 3]| (DVec3::from_array(p) + model.world_offset) * scale;
     let centre = place(lamp.position);

@@ -13,6 +13,7 @@ mod ground;
 mod ground_height;
 mod high_tier_light;
 mod lamps;
+mod lamps_on_ground;
 mod light_matrix;
 mod material_planes;
 mod mesh;

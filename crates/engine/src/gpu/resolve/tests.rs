@@ -68,6 +68,8 @@ fn expected(pass: &Pass, shader: &SurfaceShader<'_>, plane: Output, x: usize, y:
         | Output::ShadowFill
         | Output::Bounce
         | Output::Contact
+        | Output::LampLight
+        | Output::LampShadow
         | Output::Confidence
         | Output::Motion
         | Output::MaterialId
