@@ -11,7 +11,7 @@ use relume_train::palette::edited;
 #[derive(Debug, Default, clap::Args)]
 pub(super) struct MaterialArgs {
     /// Change materials, separated by commas: `3=#224488` (colour, sRGB), `5*=1.2` (factor of the albedo), `3.roughness=0.4`,
-    /// `3.metalness=1`. `relume materials` lists the materials.
+    /// `3.metalness=1`, `3.into=0` (merge material 3 into 0), `3.split=X:Y:Z:RADIUS` (the part in a ball becomes a new material). `relume materials` lists the materials.
     #[arg(long, visible_alias = "recolor", value_name = "CHANGES", value_delimiter = ',')]
     recolour: Vec<MaterialEdit>,
     /// A JSON file with changes of materials, as `relume materials --recolour ... --save FILE` writes it. They come before those of

@@ -21,7 +21,7 @@ use relume_api::{List, ModelId, TenantId};
 use relume_capture::formats::model_file;
 use relume_scene::srgb;
 use relume_spec::rendering::{Colour, FrameFormat, MAX_MATERIAL_EDITS, MaterialEdit, Output, Tier};
-use relume_train::palette::{Material, materials};
+use relume_train::palette::{Material, first_fault, materials};
 use relume_train::render::{EncodeOptions, Neighbours, Viewpoint};
 
 /// The routes that return lists.
@@ -152,13 +152,11 @@ pub(super) async fn check(
         return Ok(());
     }
     let count = of_model(app, tenant, id).await?.len();
-    let is_missing = |edit: &MaterialEdit| usize::try_from(edit.material).map_or(true, |k| k >= count);
-    match edits.iter().position(is_missing) {
+    match first_fault(count, edits) {
         None => Ok(()),
-        Some(i) => Err(Problem::invalid_field(
-            format!("/materials/{i}/material"),
-            format!("must be 0 to {}, the materials of the model", count.saturating_sub(1)),
-        )),
+        Some((i, field, error)) => {
+            Err(Problem::invalid_field(format!("/materials/{i}/{field}"), error.to_string()))
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::ProbeSettings;
+use crate::cpu::OccluderBvh;
 use crate::cpu::ground::Ground;
 use crate::cpu::lamps::{Lamp, MIN_DISTANCE, direction};
 use crate::cpu::occluder::Vec3;

@@ -19,7 +19,7 @@ pub use exported_colour::ExportedColour;
 pub use format::{FrameFormat, is_colour};
 pub use lamp::{Lamp, LampShape, MAX_LAMPS};
 pub use layer_format::LayerFormat;
-pub use material_edit::{Colour, MAX_MATERIAL_EDITS, MaterialEdit};
+pub use material_edit::{Ball, Colour, MAX_MATERIAL_EDITS, MaterialEdit};
 pub use primaries::Primaries;
 pub use relume_scene::Output;
 pub use tier::{Quality, Tier};

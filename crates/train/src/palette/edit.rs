@@ -3,7 +3,8 @@
 use relume_scene::{Field, Model, srgb};
 use relume_spec::rendering::MaterialEdit;
 
-use super::{Material, OneGaussian, index, materials, mixed};
+use super::regroup::{first_fault, regrouped};
+use super::{Material, OneGaussian, materials, mixed};
 
 /// Greatest factor of an albedo by a colour. Where a material must become brighter than that, the difference is added: a factor would
 /// amplify the noise of a dark material.
@@ -27,6 +28,12 @@ pub enum EditError {
     /// The model has no materials.
     #[error("the model has no materials")]
     NoMaterials,
+    /// A split of a model with as many materials as possible.
+    #[error("the model would have more than {most} materials")]
+    TooManyMaterials {
+        /// Most materials of a model.
+        most: usize,
+    },
 }
 
 /// What becomes of one material.
@@ -62,21 +69,31 @@ impl Change {
     }
 }
 
-/// The model with changed materials; `model` stays. Later edits of a material follow earlier ones. A Gaussian of several materials
-/// changes by the share of each. A changed material without Gaussians has no effect.
+/// The model with changed materials; `model` stays. Merges and splits come first, in their order. Later changes of a material follow
+/// earlier ones. A Gaussian of several materials changes by the share of each. A changed material without Gaussians has no effect.
 ///
 /// # Errors
-/// If the model has no materials, or none of a number in `edits`.
+/// If the model has no materials, or none of a number in `edits`, or if a split would make too many.
 pub fn edited(model: &Model, edits: &[MaterialEdit]) -> Result<Model, EditError> {
-    let materials = materials(model);
+    if edits.is_empty() {
+        return Ok(model.clone());
+    }
+    if !model.has_materials() {
+        return Err(EditError::NoMaterials);
+    }
+    if let Some((_, _, error)) = first_fault(model.prototypes.len(), edits) {
+        return Err(error);
+    }
+    let model = regrouped(model, edits);
+    let materials = materials(&model);
     let mut changes: Vec<Option<Change>> = vec![None; materials.len()];
-    for edit in edits {
-        let k = index(model, edit.material)?;
+    for edit in edits.iter().filter(|edit| !edit.is_regrouping()) {
+        let k = edit.material as usize;
         changes[k] = Some(changes[k].unwrap_or(Change::NONE).then(edit, &materials[k]));
     }
     let mut out = model.clone();
     for i in 0..model.gaussians.len() {
-        apply(model, &changes, i, &mut out);
+        apply(&model, &changes, i, &mut out);
     }
     Ok(out)
 }

@@ -3,8 +3,10 @@
 //! Gaussian i belongs to material k with the share `s_ik = softmax(scores_i)_k` (docs/MODEL.md, section 1).
 
 mod edit;
+mod regroup;
 
 pub use edit::{EditError, edited};
+pub use regroup::first_fault;
 
 use relume_engine::{sigmoid, softmax};
 use relume_scene::{Field, Gaussians, Model};
