@@ -48,6 +48,16 @@ fn render_writes_the_planes_of_the_ground() {
         assert!(of_far > darkest, "the control, a ground far below: {output}: {of_far} {darkest}");
     }
     assert!(picture(at, &["--output", "bounce"]).iter().any(|v| *v > 0.01));
+    let lit = |output, at_height| {
+        let lamp = format!("point position=0,0,{at_height} intensity=4");
+        picture(at, &["--output", output, "--lamp", &lamp])
+    };
+    let [low, high] = ["-50", "3"].map(|height| lit("lamp_light", height).iter().copied().fold(0.0, f32::max));
+    assert!(high > 0.05 && low == 0.0, "a lamp below the ground lights nothing: {high} {low}");
+    let darkest = |values: Vec<f32>| values.iter().copied().fold(1.0, f32::min);
+    let shadow = darkest(lit("lamp_shadow", "3"));
+    assert!(shadow < 0.7, "{shadow}");
+    assert_eq!(darkest(picture(at, &["--output", "lamp_shadow"])), 1.0, "the control, no lamp");
 
     let outputs = ["--output", "rgb,position,shadow,bounce,contact", "--out", "o.exr"];
     assert!(relume(at, &outputs).status.success());
@@ -138,6 +148,15 @@ async fn service_renders_ground_and_lamps_and_names_faults() {
     for (request, pointer) in [
         (lit(vec![bulb.clone(), wrong]), "/lamps/1/intensity"),
         (lit(vec![bulb.clone(); 17]), "/lamps"),
+        (
+            RenderRequest {
+                lamps: vec![bulb.clone(); 2],
+                width: 2048,
+                height: 2048,
+                ..request(&[Output::LampLight], None)
+            },
+            "/lamps",
+        ),
         (RenderRequest { lamps: vec![bulb.clone()], ..request(&[Output::Normal], None) }, "/lamps"),
         (RenderRequest { tier: Tier::High, width: 4096, height: 4096, ..lit(vec![bulb.clone()]) }, "/lamps"),
         (request(&[Output::Rgb], Some(0.0)), "/ground_height"),
@@ -155,7 +174,14 @@ async fn service_renders_ground_and_lamps_and_names_faults() {
 
     let frames = FramesExport {
         format: FrameFormat::Exr,
-        outputs: vec![Output::Rgb, Output::Shadow, Output::Motion, Output::MaterialId, Output::Cryptomatte],
+        outputs: vec![
+            Output::Rgb,
+            Output::Shadow,
+            Output::LampLight,
+            Output::Motion,
+            Output::MaterialId,
+            Output::Cryptomatte,
+        ],
         lamps: vec![bulb.clone()],
         ground_height: Some(-1.0),
         width: Some(16),
@@ -172,7 +198,14 @@ async fn service_renders_ground_and_lamps_and_names_faults() {
     assert_eq!(ended.state, ExportState::Succeeded, "{ended:?}");
     let zip = client.export_file(&made.id).await.unwrap();
     let text = String::from_utf8_lossy(&zip);
-    let named = ["relume:lamps", "relume:ground_height", "shadow.R", "backward.v", "material_id.Y"];
+    let named = [
+        "relume:lamps",
+        "relume:ground_height",
+        "shadow.R",
+        "lamp_light.R",
+        "backward.v",
+        "material_id.Y",
+    ];
     assert!(named.iter().all(|name| text.contains(name)));
     assert!(text.contains("CryptoMaterial02.A") && text.contains("\"material_"), "with a manifest");
     assert!(!text.contains("confidence.Y"), "the control");

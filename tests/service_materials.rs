@@ -7,7 +7,7 @@ use relume_api::renders::RenderRequest;
 use relume_capture::formats::image_file;
 use relume_client::{Client, ClientError};
 use relume_scene::ImageRgba;
-use relume_spec::rendering::{Colour, FrameFormat, MaterialEdit, Output};
+use relume_spec::rendering::{Ball, Colour, FrameFormat, MaterialEdit, Output};
 use reqwest::{Method, StatusCode};
 use serde_json::Value;
 
@@ -52,6 +52,35 @@ async fn changed_materials_show_in_pictures_and_exports_alone() {
     assert!(brightest(&albedo(client, &model, all.clone()).await) < 0.02);
     assert!(brightest(&before) > 0.2, "the control");
     assert_eq!(albedo(client, &model, Vec::new()).await.pixels, before.pixels, "the model stays");
+
+    let merged: Vec<MaterialEdit> = materials[1..]
+        .iter()
+        .map(|material| MaterialEdit {
+            material: material.material,
+            into: Some(materials[0].material),
+            ..MaterialEdit::default()
+        })
+        .collect();
+    let close = |a: &ImageRgba, b: &ImageRgba| {
+        a.pixels.iter().zip(&b.pixels).all(|(a, b)| (a[0] - b[0]).abs() < 0.02)
+    };
+    assert!(close(&albedo(client, &model, merged.clone()).await, &before), "merging keeps the colours");
+    let with_black = [merged, vec![black(materials[0].material)]].concat();
+    assert!(brightest(&albedo(client, &model, with_black).await) < 0.02, "the merged material is everything");
+
+    let split = |radius| MaterialEdit {
+        material: 0,
+        split: Some(Ball { centre: [0.0; 3], radius }),
+        ..MaterialEdit::default()
+    };
+    let new = black(materials.len() as u32);
+    let of_all = albedo(client, &model, vec![split(1e3), new]).await;
+    assert_eq!(of_all.pixels, albedo(client, &model, vec![black(0)]).await.pixels, "the ball has all of it");
+    assert_eq!(
+        albedo(client, &model, vec![split(1e-6), new]).await.pixels,
+        before.pixels,
+        "the control, an empty ball"
+    );
 
     let ply = SplatsExport { materials: all, ..SplatsExport::of(SplatsKind::Ply) };
     let mut files = Vec::new();
@@ -113,11 +142,15 @@ async fn invalid_changes_of_materials_are_refused_by_name() {
     let plain = MaterialEdit { colour: Some(Colour([1, 2, 3])), ..MaterialEdit::default() };
     let wrong = MaterialEdit { roughness: Some(1.5), ..plain };
     let missing = MaterialEdit { material: 999, ..plain };
+    let empty = Ball { centre: [0.0; 3], radius: 0.0 };
     let request = RenderRequest { camera: look_at(), width: 8, height: 8, ..RenderRequest::default() };
     let request = RenderRequest { outputs: vec![Output::Rgb], ..request };
     for (edits, pointer) in [
         (vec![plain, wrong], "/materials/1/roughness"),
         (vec![missing], "/materials/0/material"),
+        (vec![MaterialEdit { into: Some(999), ..MaterialEdit::default() }], "/materials/0/into"),
+        (vec![plain, MaterialEdit { into: Some(1), ..plain }], "/materials/1/into"),
+        (vec![MaterialEdit { split: Some(empty), ..MaterialEdit::default() }], "/materials/0/split"),
         (vec![plain; 1001], "/materials"),
     ] {
         let request = RenderRequest { materials: edits.clone(), ..request.clone() };
