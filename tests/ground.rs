@@ -52,7 +52,8 @@ fn render_writes_the_planes_of_the_ground() {
         let lamp = format!("point position=0,0,{at_height} intensity=4");
         picture(at, &["--output", output, "--lamp", &lamp])
     };
-    let [low, high] = ["-50", "3"].map(|height| lit("lamp_light", height).iter().copied().fold(0.0, f32::max));
+    let [low, high] =
+        ["-50", "3"].map(|height| lit("lamp_light", height).iter().copied().fold(0.0, f32::max));
     assert!(high > 0.05 && low == 0.0, "a lamp below the ground lights nothing: {high} {low}");
     let darkest = |values: Vec<f32>| values.iter().copied().fold(1.0, f32::min);
     let shadow = darkest(lit("lamp_shadow", "3"));
@@ -198,14 +199,8 @@ async fn service_renders_ground_and_lamps_and_names_faults() {
     assert_eq!(ended.state, ExportState::Succeeded, "{ended:?}");
     let zip = client.export_file(&made.id).await.unwrap();
     let text = String::from_utf8_lossy(&zip);
-    let named = [
-        "relume:lamps",
-        "relume:ground_height",
-        "shadow.R",
-        "lamp_light.R",
-        "backward.v",
-        "material_id.Y",
-    ];
+    let named =
+        ["relume:lamps", "relume:ground_height", "shadow.R", "lamp_light.R", "backward.v", "material_id.Y"];
     assert!(named.iter().all(|name| text.contains(name)));
     assert!(text.contains("CryptoMaterial02.A") && text.contains("\"material_"), "with a manifest");
     assert!(!text.contains("confidence.Y"), "the control");
