@@ -95,9 +95,9 @@ pub fn normals(state: &TrainState) -> Vec<[f32; 3]> {
     outward_normals(&source(state))
 }
 
-/// Share of each of `lights` that arrives at every Gaussian, `[light][Gaussian]`, 0..=1. The number of lights is not limited.
-pub fn light_shares(state: &TrainState, lights: &[SplitLight]) -> Vec<Vec<f32>> {
-    cpu::light_shares(&source(state), lights)
+/// Share of each of `lights` that arrives at each of the Gaussians `members`, `[light][member]`, 0..=1. The number of lights is not limited.
+pub fn light_shares(state: &TrainState, lights: &[SplitLight], members: &[u32]) -> Vec<Vec<f32>> {
+    cpu::light_shares(&source(state), lights, members)
 }
 
 /// Exponent that approximates the display curve, for means of displayed colours.

@@ -18,22 +18,22 @@ use relume_scene::{Field, MAX_LIGHTS, SplitLight, VisibilityForm, sh_count};
 pub struct Probes {
     /// Unit directions.
     pub directions: Vec<Vec3>,
-    /// `[direction][Gaussian]`: transmittance towards the direction.
+    /// `[direction][member]`: transmittance towards the direction.
     pub transmittance: Vec<Vec<f32>>,
-    /// `[direction][Gaussian]`: the Gaussian that blocks most of the rest, or [`NO_HIT`](relume_layout::constants::NO_HIT).
+    /// `[direction][member]`: the Gaussian that blocks most of the rest, or [`NO_HIT`](relume_layout::constants::NO_HIT).
     pub hit: Vec<Vec<u32>>,
 }
 
-/// Share of each light that arrives at every Gaussian, `[light][Gaussian]`, 0..=1: the mean transmittance over the light's disc,
-/// and 1 where the visibility form is `Off`.
-pub fn light_shares(source: &AttributeSource<'_>, lights: &[SplitLight]) -> Vec<Vec<f32>> {
-    let count = source.gaussians.len();
+/// Share of each light that arrives at each of the Gaussians `members`, `[light][member]`, 0..=1: the mean transmittance over the
+/// light's disc, and 1 where the visibility form is `Off`.
+pub fn light_shares(source: &AttributeSource<'_>, lights: &[SplitLight], members: &[u32]) -> Vec<Vec<f32>> {
+    let count = members.len();
     if source.options.visibility == VisibilityForm::Off {
         return vec![vec![1.0; count]; lights.len()];
     }
     let towards: Vec<Vec<Vec3>> = lights.iter().map(towards_light).collect();
     let settings = ProbeSettings::of(source.options);
-    let measured = Probes::measure(source, towards.concat(), settings).transmittance;
+    let measured = Probes::measure_from(source, members, towards.concat(), settings).transmittance;
     let mut rest = measured.as_slice();
     let mean = |directions: &Vec<Vec3>| {
         let (of_light, others) = rest.split_at(directions.len());
@@ -51,9 +51,14 @@ pub fn arriving(source: &AttributeSource<'_>, lights: &[SplitLight]) -> Vec<[f32
     if lights.is_empty() || source.options.visibility == VisibilityForm::Off {
         return Vec::new();
     }
-    let shares = light_shares(source, lights);
+    let shares = light_shares(source, lights, &all(source));
     let share = |k: usize, i: usize| shares.get(k).map_or(1.0, |of_light| of_light[i]);
     (0..source.gaussians.len()).map(|i| std::array::from_fn(|k| share(k, i))).collect()
+}
+
+/// The indices of all Gaussians.
+fn all(source: &AttributeSource<'_>) -> Vec<u32> {
+    (0..source.gaussians.len()).map(|i| i as u32).collect()
 }
 
 /// Unit normal of each Gaussian on its open side: the shortest axis, signed so that visibility is larger there.
@@ -84,16 +89,26 @@ pub fn outward_normals(source: &AttributeSource<'_>) -> Vec<Vec3> {
 impl Probes {
     /// Measures `directions` from every Gaussian of `source`, from its centre moved outwards by `settings`.
     pub fn measure(source: &AttributeSource<'_>, directions: Vec<Vec3>, settings: ProbeSettings) -> Self {
+        Self::measure_from(source, &all(source), directions, settings)
+    }
+
+    /// Measures `directions` from the Gaussians `members` of `source` alone.
+    fn measure_from(
+        source: &AttributeSource<'_>,
+        members: &[u32],
+        directions: Vec<Vec3>,
+        settings: ProbeSettings,
+    ) -> Self {
         let occluders = occluders(source);
         let normals = outward_normals(source);
-        let queries: Vec<VisibilityQuery> = occluders
+        let queries: Vec<VisibilityQuery> = members
             .iter()
-            .zip(&normals)
-            .map(|(o, n)| {
+            .map(|member| {
+                let (o, n) = (&occluders[*member as usize], &normals[*member as usize]);
                 let sigma = o.axes.iter().map(|a| dot(*a, *n).powi(2)).sum::<f32>().sqrt();
                 let point =
                     std::array::from_fn(|k| o.mean[k] + (settings.offset * sigma + settings.lift) * n[k]);
-                VisibilityQuery { point, clearance: sigma + settings.bias }
+                VisibilityQuery { gaussian: *member, point, clearance: sigma + settings.bias }
             })
             .collect();
         let measured: Vec<(Vec<f32>, Vec<u32>)> =

@@ -1,8 +1,8 @@
 //! Transmittance towards one direction from every Gaussian, by the footprints of all Gaussians on the plane perpendicular to
 //! it.
 //!
-//! A square grid lists the footprints of each cell, nearest first. The queries of a cell are answered together: its
-//! footprints are laid out once, sixteen in lanes, and each query visits them in order of depth, from its own depth on.
+//! A square grid lists the footprints of each cell, nearest first. Up to sixteen queries of a cell, one per lane, visit its footprints
+//! together in this order.
 
 use multiversion::multiversion;
 
@@ -13,12 +13,16 @@ use relume_layout::constants::{ALPHA_MAX, MIN_TRANSMITTANCE, NO_HIT};
 
 /// Mean number of Gaussians per cell of the grid.
 const PER_CELL: usize = 4;
+/// Number of footprints that count for some query between two tests of whether all light is blocked.
+const COUNTED_BETWEEN_CHECKS: u32 = 8;
 /// Maximum number of cells along a side.
 const MAX_GRID_SIDE: usize = 256;
 
 /// Start point of the visibility measurement of a Gaussian.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct VisibilityQuery {
+    /// The Gaussian, which does not shadow itself.
+    pub(super) gaussian: u32,
     pub(super) point: Vec3,
     /// Smallest distance of an occluder along the direction, world units.
     pub(super) clearance: f32,
@@ -27,7 +31,7 @@ pub(super) struct VisibilityQuery {
 /// A query projected to the plane perpendicular to one direction.
 #[derive(Debug, Clone, Copy)]
 struct PlaneQuery {
-    index: u32,
+    gaussian: u32,
     place: [f32; 2],
     depth: f32,
     clearance: f32,
@@ -43,17 +47,22 @@ struct ProjectedFootprint {
     footprint: Footprint,
 }
 
-/// Sixteen footprints, one per lane, in order of depth; an unused lane is infinitely far and has no reach.
-#[derive(Debug, Clone)]
-struct Block {
-    index: [u32; LANES],
-    centre: [Lanes; 2],
+/// Up to sixteen queries of a cell, one per lane.
+#[derive(Debug, Clone, Copy)]
+struct QueryLanes {
+    gaussian: [u32; LANES],
+    place: [Lanes; 2],
+    /// Infinite in an unused lane, so that no footprint is behind it.
     depth: Lanes,
-    /// Smallest distance at which a footprint counts, in addition to the query's clearance.
     clearance: Lanes,
-    conic: [Lanes; 3],
-    opacity: Lanes,
-    reach: Lanes,
+    /// The smallest and the largest depth of the queries.
+    depths: (f32, f32),
+}
+
+/// Transmittance and dominant occluder of each lane.
+struct Answers {
+    transmittance: Lanes,
+    hit: [u32; LANES],
 }
 
 /// Transmittance and dominant occluder of every query towards `d`.
@@ -70,9 +79,8 @@ pub(super) fn measure_direction(
     let footprints = grid.list(&flats, |f| grid.cells_under(f.centre, f.extent));
     let projected: Vec<PlaneQuery> = queries
         .iter()
-        .enumerate()
-        .map(|(i, q)| PlaneQuery {
-            index: i as u32,
+        .map(|q| PlaneQuery {
+            gaussian: q.gaussian,
             place: [dot(q.point, u), dot(q.point, v)],
             depth: dot(q.point, d),
             clearance: q.clearance,
@@ -80,16 +88,17 @@ pub(super) fn measure_direction(
         .collect();
     let queries_of = grid.list(&projected, |a| grid.cells_under(a.place, [0.0; 2]));
     let (mut transmittance, mut hit) = (vec![1.0f32; queries.len()], vec![NO_HIT; queries.len()]);
-    let mut blocks = Vec::new();
     for cell in 0..grid.side * grid.side {
-        if queries_of.of(cell).is_empty() || footprints.of(cell).is_empty() {
+        let (of_cell, footprints) = (queries_of.of(cell), footprints.of(cell));
+        if footprints.is_empty() {
             continue;
         }
-        lay_out(&flats, footprints.of(cell), settings.clearance, &mut blocks);
-        for &q in queries_of.of(cell) {
-            let projected = &projected[q as usize];
-            (transmittance[projected.index as usize], hit[projected.index as usize]) =
-                answer(&blocks, projected, settings.reach);
+        for together in of_cell.chunks(LANES) {
+            let answers = answer(&flats, footprints, &QueryLanes::of(&projected, together), settings);
+            for (lane, q) in together.iter().enumerate() {
+                (transmittance[*q as usize], hit[*q as usize]) =
+                    (answers.transmittance.0[lane], answers.hit[lane]);
+            }
         }
     }
     (transmittance, hit)
@@ -118,109 +127,111 @@ fn flatten(o: &Occluder, index: u32, d: Vec3, u: Vec3, v: Vec3) -> Option<Projec
     Some(ProjectedFootprint { index, centre, depth, extent: footprint.extent(), footprint })
 }
 
-/// The footprints of `members` as blocks.
-fn lay_out(flats: &[ProjectedFootprint], members: &[u32], clearance: f32, blocks: &mut Vec<Block>) {
-    blocks.clear();
-    blocks.extend(members.chunks(LANES).map(|members| {
-        let mut block = Block::nothing();
-        for (lane, m) in members.iter().enumerate() {
-            block.put(lane, &flats[*m as usize], clearance);
-        }
-        block
-    }));
-}
-
-impl Block {
-    fn nothing() -> Self {
-        Self {
-            index: [NO_HIT; LANES],
-            centre: [Lanes::ZERO; 2],
+impl QueryLanes {
+    fn of(projected: &[PlaneQuery], together: &[u32]) -> Self {
+        let mut lanes = Self {
+            gaussian: [NO_HIT; LANES],
+            place: [Lanes::ZERO; 2],
             depth: Lanes([f32::INFINITY; LANES]),
             clearance: Lanes::ZERO,
-            conic: [Lanes::ZERO; 3],
-            opacity: Lanes::ZERO,
-            reach: Lanes([f32::NEG_INFINITY; LANES]),
+            depths: (f32::INFINITY, f32::NEG_INFINITY),
+        };
+        for (lane, q) in together.iter().enumerate().take(LANES) {
+            let q = &projected[*q as usize];
+            lanes.gaussian[lane] = q.gaussian;
+            (0..2).for_each(|k| lanes.place[k].0[lane] = q.place[k]);
+            (lanes.depth.0[lane], lanes.clearance.0[lane]) = (q.depth, q.clearance);
+            lanes.depths = (lanes.depths.0.min(q.depth), lanes.depths.1.max(q.depth));
         }
+        lanes
     }
 
-    fn put(&mut self, lane: usize, f: &ProjectedFootprint, clearance: f32) {
-        self.index[lane] = f.index;
-        (0..2).for_each(|k| self.centre[k].0[lane] = f.centre[k]);
-        self.depth.0[lane] = f.depth;
-        self.clearance.0[lane] = clearance * f.footprint.thickness;
-        (0..3).for_each(|k| self.conic[k].0[lane] = f.footprint.conic[k]);
-        self.opacity.0[lane] = f.footprint.opacity;
-        self.reach.0[lane] = f.footprint.reach;
-    }
-
-    /// Exponent of each footprint at the query.
+    /// Whether every query has less than [`MIN_TRANSMITTANCE`].
     #[inline(always)]
-    fn power(&self, q: &PlaneQuery) -> Lanes {
+    fn are_dark(&self, transmittance: &Lanes) -> bool {
+        let left = Lanes::from_fn(|i| if self.depth.0[i] < f32::INFINITY { transmittance.0[i] } else { 0.0 });
+        left.max() < MIN_TRANSMITTANCE
+    }
+
+    /// Exponent of `f` at each query.
+    #[inline(always)]
+    fn power(&self, f: &ProjectedFootprint) -> Lanes {
+        let [a, b, c] = f.footprint.conic;
         Lanes::from_fn(|i| {
-            let (dx, dy) = (q.place[0] - self.centre[0].0[i], q.place[1] - self.centre[1].0[i]);
-            let [a, b, c] = [0, 1, 2].map(|k| self.conic[k].0[i]);
+            let (dx, dy) = (self.place[0].0[i] - f.centre[0], self.place[1].0[i] - f.centre[1]);
             0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
         })
     }
 
-    /// The footprints that count, one bit each ([`Footprint::alpha`]).
+    /// The queries for which `f` counts, one bit each ([`Footprint::alpha`]).
     #[inline(always)]
-    fn counting(&self, q: &PlaneQuery, reach: f32, power: &Lanes) -> u32 {
+    fn counting(&self, f: &ProjectedFootprint, settings: ProbeSettings, power: &Lanes) -> u32 {
+        let clearance = settings.clearance * f.footprint.thickness;
         let mut bits = 0;
         for i in 0..LANES {
-            let away = self.depth.0[i] - q.depth;
+            let away = f.depth - self.depth.0[i];
             // NaN fails every test.
-            let counts = (self.depth.0[i] > q.depth)
-                & (away <= reach)
-                & (away >= self.clearance.0[i] + q.clearance)
-                & (power.0[i] <= self.reach.0[i])
-                & (self.index[i] != q.index);
+            let counts = (f.depth > self.depth.0[i])
+                & (away <= settings.reach)
+                & (away >= clearance + self.clearance.0[i])
+                & (power.0[i] <= f.footprint.reach)
+                & (f.index != self.gaussian[i]);
             bits |= u32::from(counts) << i;
         }
         bits
     }
-
-    /// Alpha of each footprint, including those that do not count.
-    #[inline(always)]
-    fn alpha(&self, power: &Lanes) -> Lanes {
-        Lanes::from_fn(|i| {
-            let power = if power.0[i] > 0.0 { power.0[i] } else { 0.0 };
-            let alpha = self.opacity.0[i] * exp_negative(-power);
-            if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX }
-        })
-    }
 }
 
-/// Transmittance and dominant occluder of one query, from the footprints of its cell.
+/// Alpha of a footprint in the lanes of `counting`; 0 in the others.
+#[inline(always)]
+fn alpha(f: &Footprint, power: &Lanes, counting: u32) -> Lanes {
+    Lanes::from_fn(|i| {
+        let power = if power.0[i] > 0.0 { power.0[i] } else { 0.0 };
+        let alpha = f.opacity * exp_negative(-power);
+        let alpha = if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX };
+        if counting >> i & 1 == 1 { alpha } else { 0.0 }
+    })
+}
+
+/// Transmittance and dominant occluder of queries, from the footprints `members` of their cell.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+fma", "x86_64+avx2+fma", "aarch64+neon"))]
-fn answer(blocks: &[Block], q: &PlaneQuery, reach: f32) -> (f32, u32) {
-    let (mut transmittance, mut strongest, mut hit) = (1.0f32, 0.0f32, NO_HIT);
-    let start = blocks.partition_point(|b| b.depth.0[LANES - 1] <= q.depth);
-    for block in &blocks[start..] {
-        if block.depth.0[0] - q.depth > reach {
+fn answer(
+    flats: &[ProjectedFootprint],
+    members: &[u32],
+    queries: &QueryLanes,
+    settings: ProbeSettings,
+) -> Answers {
+    let (mut transmittance, mut strongest, mut hit) = (Lanes::ONE, Lanes::ZERO, [NO_HIT; LANES]);
+    let (nearest, farthest) = queries.depths;
+    let start = members.partition_point(|m| flats[*m as usize].depth <= nearest);
+    let mut counted = 0u32;
+    for member in &members[start..] {
+        let f = &flats[*member as usize];
+        if f.depth - farthest > settings.reach {
             break;
         }
-        let power = block.power(q);
-        let mut counting = block.counting(q, reach, &power);
+        let power = queries.power(f);
+        let counting = queries.counting(f, settings, &power);
         if counting == 0 {
             continue;
         }
-        let alpha = block.alpha(&power);
-        while counting != 0 {
-            let lane = counting.trailing_zeros() as usize % LANES;
-            counting &= counting - 1;
-            let weight = transmittance * alpha.0[lane];
-            if weight > strongest {
-                (strongest, hit) = (weight, block.index[lane]);
-            }
-            transmittance *= 1.0 - alpha.0[lane];
+        let alpha = alpha(&f.footprint, &power, counting);
+        for i in 0..LANES {
+            let weight = transmittance.0[i] * alpha.0[i];
+            let is_stronger = weight > strongest.0[i];
+            strongest.0[i] = if is_stronger { weight } else { strongest.0[i] };
+            hit[i] = if is_stronger { f.index } else { hit[i] };
+            transmittance.0[i] *= 1.0 - alpha.0[i];
         }
+        counted += 1;
         // Every further footprint weighs less than `MIN_TRANSMITTANCE`; the first counted one weighed 1/255 or more.
-        if transmittance < MIN_TRANSMITTANCE {
-            return (0.0, hit);
+        if counted.is_multiple_of(COUNTED_BETWEEN_CHECKS) && queries.are_dark(&transmittance) {
+            break;
         }
     }
-    (transmittance, hit)
+    let transmittance =
+        Lanes::from_fn(|i| if transmittance.0[i] < MIN_TRANSMITTANCE { 0.0 } else { transmittance.0[i] });
+    Answers { transmittance, hit }
 }
 
 /// A square grid over the plane.

@@ -19,7 +19,7 @@ pub use environment::solve as solve_environment;
 use neighbours::Neighbours;
 use relume_engine::{TrainState, evaluation, fibonacci_sphere};
 use relume_scene::light::{UNOCCLUDED_SH0, sh_eval};
-use relume_scene::{Camera, DisplayRange, Field, Gaussians, MAX_LIGHTS, SplitLight};
+use relume_scene::{Camera, DisplayRange, Field, MAX_LIGHTS, SplitLight};
 pub use split::{split, start};
 
 /// Number of directions of the first search.
@@ -86,7 +86,7 @@ pub fn seen(state: &TrainState, cameras: &[&Camera]) -> Vec<f32> {
     out
 }
 
-/// Inputs of the search.
+/// Inputs of the search. All values are those of the members of `neighbours`.
 struct LightSearch<'a> {
     state: &'a TrainState,
     normals: Vec<[f32; 3]>,
@@ -106,7 +106,7 @@ struct LightCandidate {
 impl<'a> LightSearch<'a> {
     fn new(state: &'a TrainState, seen: &[f32], range: DisplayRange) -> Self {
         let g = &state.model.gaussians;
-        let mut colours: Vec<[f32; 3]> = (0..g.len()).map(|i| materials::colour(g, i, range)).collect();
+        let colours: Vec<[f32; 3]> = (0..g.len()).map(|i| materials::colour(g, i, range)).collect();
         let tells = |c: &[f32; 3]| {
             c.iter().all(|v| *v < INFORMATIVE_RANGE.1 * range.peak())
                 && c.iter().any(|v| *v > INFORMATIVE_RANGE.0)
@@ -114,25 +114,32 @@ impl<'a> LightSearch<'a> {
         let used =
             (0..g.len()).filter(|i| seen[*i] > MIN_VISIBLE_PIXELS && tells(&colours[*i])).map(|i| i as u32);
         let neighbours = Neighbours::of(g, &used.collect::<Vec<_>>(), seen);
+        let mut colours = neighbours.of_members(&colours);
         neighbours.smooth(&mut colours);
         colours.iter_mut().for_each(|c| *c = c.map(|v| v.max(MIN_LOG_ARGUMENT).ln()));
-        Self { state, normals: evaluation::normals(state), colours, neighbours }
+        let normals = neighbours.of_members(&evaluation::normals(state));
+        Self { state, normals, colours, neighbours }
     }
 
-    fn gaussians(&self) -> &Gaussians {
-        &self.state.model.gaussians
+    /// The visibility field of each member.
+    fn fields(&self) -> impl Iterator<Item = &[f32]> {
+        let g = &self.state.model.gaussians;
+        self.neighbours.members().iter().map(|i| g.row(Field::Visibility, *i as usize))
+    }
+
+    /// Share of each of `lights` that arrives at each member.
+    fn shares(&self, lights: &[SplitLight]) -> Vec<Vec<f32>> {
+        evaluation::light_shares(self.state, lights, self.neighbours.members())
     }
 
     /// Irradiance under a uniform sky of radiance 1, divided by pi.
     fn sky(&self) -> Vec<[f32; 3]> {
-        let g = self.gaussians();
-        let open = |i: usize| {
-            let (c, n) = (g.row(Field::Visibility, i), self.normals[i]);
+        let open = |(c, n): (&[f32], &[f32; 3])| {
             let linear = if c.len() >= 4 { c[2] * n[2] - c[1] * n[1] - c[3] * n[0] } else { 0.0 };
             // Funk-Hecke: the clamped cosine's degree 1 is 2/3 of its degree 0.
             [(c[0] / UNOCCLUDED_SH0 + 2.0 / 3.0 * LINEAR_BAND * linear).clamp(0.05, 1.0); 3]
         };
-        let mut sky: Vec<[f32; 3]> = (0..g.len()).map(open).collect();
+        let mut sky: Vec<[f32; 3]> = self.fields().zip(&self.normals).map(open).collect();
         self.neighbours.smooth(&mut sky);
         sky
     }
@@ -153,7 +160,7 @@ impl<'a> LightSearch<'a> {
         if !(gain > MIN_GAIN && is_strong && is_apart(best.light.direction, found)) {
             return None;
         }
-        let shares = evaluation::light_shares(self.state, &[best.light]).pop()?;
+        let shares = self.shares(&[best.light]).pop()?;
         let added = self.added_irradiance(best.light, &shares);
         let with = |(e, [a]): (&[f32; 3], &[f32; 1])| std::array::from_fn(|c| e[c] + best.strength[c] * a);
         let irradiance = irradiance.iter().zip(&added).map(with).collect();
@@ -217,7 +224,7 @@ impl<'a> LightSearch<'a> {
     /// Evaluates `lights`, each at its best strength.
     fn candidates(&self, irradiance: &[[f32; 3]], lights: &[SplitLight]) -> Vec<LightCandidate> {
         let evaluate = |lights: &[SplitLight]| -> Vec<LightCandidate> {
-            let shares = evaluation::light_shares(self.state, lights);
+            let shares = self.shares(lights);
             let tested = lights.par_iter().zip(&shares);
             tested
                 .map(|(light, shares)| {
@@ -228,7 +235,7 @@ impl<'a> LightSearch<'a> {
         lights.chunks(LIGHTS_AT_ONCE).flat_map(evaluate).collect()
     }
 
-    /// Irradiance by `light` at strength 1. `shares`: the share of it that arrives at each Gaussian.
+    /// Irradiance by `light` at strength 1. `shares`: the share of it that arrives at each member.
     fn added_irradiance(&self, light: SplitLight, shares: &[f32]) -> Vec<[f32; 1]> {
         let cos = |n: &[f32; 3]| (0..3).map(|k| n[k] * light.direction[k]).sum::<f32>().max(0.0);
         let mut added: Vec<[f32; 1]> =
@@ -261,12 +268,10 @@ impl<'a> LightSearch<'a> {
 
     /// Shares of `light` that arrive through the visibility field.
     fn soft_visibility(&self, light: SplitLight) -> Vec<f32> {
-        let g = self.gaussians();
         let mut basis = [0.0f32; 64];
-        sh_eval(g.visibility_degree(), light.direction, &mut basis);
-        let field =
-            |i: usize| g.row(Field::Visibility, i).iter().zip(&basis).map(|(c, y)| c * y).sum::<f32>();
-        (0..g.len()).map(|i| field(i).clamp(0.0, 1.0)).collect()
+        sh_eval(self.state.model.gaussians.visibility_degree(), light.direction, &mut basis);
+        let at = |field: &[f32]| field.iter().zip(&basis).map(|(c, y)| c * y).sum::<f32>();
+        self.fields().map(|field| at(field).clamp(0.0, 1.0)).collect()
     }
 }
 

@@ -10,14 +10,17 @@ const NEIGHBOUR_COUNT: usize = 6;
 /// unreliable.
 const ROUNDS: usize = 2;
 
-/// Pairs of Gaussians and their nearest neighbours.
+/// Gaussians that have neighbours, the members, and pairs of them and their nearest neighbours. Values of members are in the order of
+/// their indices.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Neighbours {
-    /// Two indices and the smaller of their weights.
+    /// Indices of the Gaussians, ascending.
+    members: Vec<u32>,
+    /// Two places in `members` and the smaller of their weights.
     pairs: Vec<(u32, u32, f32)>,
     /// Sum of the pairs' weights.
     total: f64,
-    /// Weight of each Gaussian.
+    /// Weight of each member.
     weights: Vec<f32>,
 }
 
@@ -44,23 +47,32 @@ impl Neighbours {
             pairs.extend(near.iter().take(NEIGHBOUR_COUNT).map(|(_, j)| (i, *j, weight(*j))));
         }
         let total = pairs.iter().map(|(_, _, w)| f64::from(*w)).sum::<f64>().max(1e-12);
-        Self { pairs, total, weights: weights.to_vec() }
+        let mut members: Vec<u32> = pairs.iter().flat_map(|(i, j, _)| [*i, *j]).collect();
+        members.sort_unstable();
+        members.dedup();
+        let mut place = vec![0u32; weights.len()];
+        members.iter().zip(0..).for_each(|(i, k)| place[*i as usize] = k);
+        pairs.iter_mut().for_each(|(i, j, _)| (*i, *j) = (place[*i as usize], place[*j as usize]));
+        let weights = members.iter().map(|i| weights[*i as usize]).collect();
+        Self { members, pairs, total, weights }
     }
 
-    /// The pairs: two indices and the smaller of their weights.
+    /// The pairs: two places among the members and the smaller of their weights.
     pub fn pairs(&self) -> &[(u32, u32, f32)] {
         &self.pairs
     }
 
-    /// The Gaussians that belong to a pair, in ascending order.
-    pub fn members(&self) -> Vec<u32> {
-        let mut members: Vec<u32> = self.pairs.iter().flat_map(|(i, j, _)| [*i, *j]).collect();
-        members.sort_unstable();
-        members.dedup();
-        members
+    /// The indices of the members, ascending.
+    pub fn members(&self) -> &[u32] {
+        &self.members
     }
 
-    /// Replaces values by weighted means with those of their neighbours.
+    /// The values of the members.
+    pub fn of_members<T: Copy>(&self, values: &[T]) -> Vec<T> {
+        self.members.iter().map(|i| values[*i as usize]).collect()
+    }
+
+    /// Replaces values of the members by weighted means with those of their neighbours.
     pub fn smooth<const N: usize>(&self, values: &mut [[f32; N]]) {
         for _ in 0..ROUNDS {
             let own = values.iter().zip(&self.weights).map(|(v, w)| (v.map(|v| v * w), *w));
@@ -79,7 +91,7 @@ impl Neighbours {
         }
     }
 
-    /// Weighted mean absolute differences of `values` between neighbours, one per column.
+    /// Weighted mean absolute differences of values of the members between neighbours, one per column.
     pub fn variations<const N: usize>(&self, values: &[[f32; N]]) -> [f32; N] {
         let mut sums = [0.0f64; N];
         for (i, j, w) in &self.pairs {
@@ -120,14 +132,15 @@ mod tests {
     }
 
     #[test]
-    fn smoothing_keeps_uniform_values_and_unused_gaussians() {
+    fn smoothing_keeps_uniform_values_of_the_members() {
         let g = row(20);
         let pairs = Neighbours::of(&g, &(0..19).collect::<Vec<_>>(), &[1.0; 20]);
-        let mut values: Vec<[f32; 1]> = (0..20).map(|i| [if i == 19 { 5.0 } else { 1.0 }]).collect();
+        let all: Vec<[f32; 1]> = (0..20).map(|i| [if i == 19 { 5.0 } else { 1.0 }]).collect();
+        let mut values = pairs.of_members(&all);
+        assert_eq!(pairs.members(), (0..19).collect::<Vec<u32>>(), "without the unused Gaussian");
         pairs.smooth(&mut values);
-        assert!(values[..19].iter().all(|v| (v[0] - 1.0).abs() < 1e-6));
-        assert_eq!(values[19], [5.0], "an unused Gaussian");
-        let mut noise: Vec<[f32; 1]> = (0..20).map(|i| [(i % 2) as f32]).collect();
+        assert!(values.iter().all(|v| (v[0] - 1.0).abs() < 1e-6));
+        let mut noise: Vec<[f32; 1]> = (0..19).map(|i| [(i % 2) as f32]).collect();
         pairs.smooth(&mut noise);
         assert!(noise[5..15].iter().all(|v| (v[0] - 0.5).abs() < 0.2), "{noise:?}");
     }

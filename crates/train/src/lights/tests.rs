@@ -1,7 +1,7 @@
 use super::*;
 use relume_engine::cpu::Probes;
 use relume_engine::{ProbeSettings, srgb};
-use relume_scene::Model;
+use relume_scene::{Gaussians, Model};
 
 /// Range of the photographs.
 pub(super) const UNIT: DisplayRange = DisplayRange::Unit;
@@ -45,16 +45,17 @@ pub(super) fn plate_under(lights: &[(SplitLight, f32)]) -> TrainState {
         Probes::measure(&evaluation::source(&state), fibonacci_sphere(256), ProbeSettings::default());
     let field = probes.coefficients(4);
     state.model.gaussians.field_mut(Field::Visibility).copy_from_slice(&field);
-    let shares =
-        evaluation::light_shares(&state, &lights.iter().map(|(light, _)| *light).collect::<Vec<_>>());
-    let sky = LightSearch::new(&state, &from_above(&state), UNIT).sky();
-    for i in 0..sky.len() {
+    let seen = from_above(&state);
+    let search = LightSearch::new(&state, &seen, UNIT);
+    let shares = search.shares(&lights.iter().map(|(light, _)| *light).collect::<Vec<_>>());
+    let (sky, members) = (search.sky(), search.neighbours.members().to_vec());
+    for (i, member) in members.into_iter().enumerate() {
         let of_light = |((light, strength), shares): (&(SplitLight, f32), &Vec<f32>)| {
             strength * shares[i] * light.direction[2]
         };
         let of_lights: f32 = lights.iter().zip(&shares).map(of_light).sum();
         let shown = srgb((0.1 * (sky[i][0] + of_lights)).min(0.9));
-        state.model.gaussians.row_mut(Field::Radiance, i).fill((shown - 0.5) / 0.282_094_8);
+        state.model.gaussians.row_mut(Field::Radiance, member as usize).fill((shown - 0.5) / 0.282_094_8);
     }
     state
 }

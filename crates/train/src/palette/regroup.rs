@@ -107,7 +107,7 @@ mod tests {
     fn model() -> Model {
         let mut g = Gaussians::zeroed(8, 3, 0, 0);
         for i in 0..8 {
-            let scores = [[9.0, 0.0, 0.0], [1.0, 1.5, 0.0], [0.0, 0.0, 9.0]][[0, 0, 1, 1, 2, 2, 2, 2][i]];
+            let scores = [[9.0, 0.0, 0.0], [1.0, 1.5, -9.0], [0.0, 0.0, 9.0]][[0, 0, 1, 1, 2, 2, 2, 2][i]];
             g.row_mut(Field::ProtoLogits, i).copy_from_slice(&scores);
             g.row_mut(Field::Mean, i)[0] = i as f32;
             g.row_mut(Field::Residual, i)[1] = 0.02 * i as f32;

@@ -58,7 +58,8 @@ impl Trainer {
         let lights: Vec<_> =
             lights.into_iter().map(|direction| SplitLight { direction, radius: 0.0 }).collect();
         let start = now();
-        evaluation::light_shares(&state, &lights);
+        let members: Vec<u32> = (0..state.model.gaussians.len()).map(|i| i as u32).collect();
+        evaluation::light_shares(&state, &lights, &members);
         let host = now() - start;
         let per_probe = |seconds: f64, directions: usize| {
             seconds / (directions.max(1) * state.model.gaussians.len().max(1)) as f64

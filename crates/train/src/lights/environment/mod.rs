@@ -36,12 +36,11 @@ pub fn solve(
 ) {
     let search = LightSearch::new(state, seen, range);
     let sky = sky_directions(split);
-    let points = search.neighbours.members();
-    if points.len() < 2 || sky.is_empty() {
+    if search.neighbours.members().len() < 2 || sky.is_empty() {
         return;
     }
-    let transport = Transport::measure(&search, &points, &sky, &split.lights);
-    let variation = Variation::of(&search, gathered, &points, seen);
+    let transport = Transport::measure(&search, &sky, &split.lights);
+    let variation = Variation::of(&search, gathered, seen);
     let prior = Prior { light: present(state, &sky, split), sky: sky.len() };
     let solution = solver::solve(&transport, &variation, &prior);
     state.model.env_raw = environment(state, &sky, split, &solution);

@@ -99,9 +99,8 @@ fn irradiance_of_the_visible_surfaces_keeps_its_level() {
     let level = |state: &TrainState| {
         let seen = from_above(state);
         let search = LightSearch::new(state, &seen, UNIT);
-        let (points, sky) = (search.neighbours.members(), sky_directions(&LightSplit::default()));
-        let transport = Transport::measure(&search, &points, &sky, &[]);
-        let light = present(state, &sky, &LightSplit::default());
+        let transport = Transport::measure(&search, &sky_directions(&LightSplit::default()), &[]);
+        let light = present(state, &sky_directions(&LightSplit::default()), &LightSplit::default());
         transport.irradiance(&light).iter().map(|e| e[0]).sum::<f32>()
     };
     assert!((level(&after) / level(&before) - 1.0).abs() < 0.1, "{} {}", level(&after), level(&before));

@@ -15,23 +15,21 @@ pub(super) struct Variation {
 }
 
 impl Variation {
-    /// The variation among the Gaussians `points`, sorted. `gathered`: light that each Gaussian receives from other surfaces. `seen`: number of pixels in which each Gaussian is visible.
-    pub(super) fn of(search: &LightSearch<'_>, gathered: &[[f32; 6]], points: &[u32], seen: &[f32]) -> Self {
-        let mut gathered: Vec<[f32; 3]> = (0..seen.len())
-            .map(|i| gathered.get(i).map_or([0.0; 3], |[red, green, blue, ..]| [*red, *green, *blue]))
-            .collect();
-        search.neighbours.smooth(&mut gathered);
-        let mut place = vec![0u32; seen.len()];
-        points.iter().enumerate().for_each(|(k, i)| place[*i as usize] = k as u32);
-        let pairs = search.neighbours.pairs();
+    /// The variation among the members of `search`. `gathered`: light that each Gaussian receives from other surfaces. `seen`: number of pixels in which each Gaussian is visible.
+    pub(super) fn of(search: &LightSearch<'_>, gathered: &[[f32; 6]], seen: &[f32]) -> Self {
+        let neighbours = &search.neighbours;
+        let of_sky = |i: &u32| gathered.get(*i as usize).map_or([0.0; 3], |[r, g, b, ..]| [*r, *g, *b]);
+        let mut gathered: Vec<[f32; 3]> = neighbours.members().iter().map(of_sky).collect();
+        neighbours.smooth(&mut gathered);
+        let pairs = neighbours.pairs();
         let total: f32 = pairs.iter().map(|(_, _, weight)| weight).sum();
-        let pair = |(i, j, weight): &(u32, u32, f32)| {
-            (place[*i as usize], place[*j as usize], weight / total.max(f32::MIN_POSITIVE))
-        };
-        let [colours, gathered] =
-            [&search.colours, &gathered].map(|of| points.iter().map(|i| of[*i as usize]).collect());
-        let pixels = points.iter().map(|i| seen[*i as usize]).collect();
-        Self { colours, gathered, pixels, pairs: pairs.iter().map(pair).collect() }
+        let pair = |(i, j, weight): &(u32, u32, f32)| (*i, *j, weight / total.max(f32::MIN_POSITIVE));
+        Self {
+            colours: search.colours.clone(),
+            gathered,
+            pixels: neighbours.of_members(seen),
+            pairs: pairs.iter().map(pair).collect(),
+        }
     }
 
     /// Derivative by the irradiance from the unknown light, `direct`, of `sum_ij w_ij ln(1 + |x_i - x_j|^2 / (3 scale^2))`, where `x` is the
