@@ -12,9 +12,9 @@ use crate::cpu::occluder::{Footprint, Occluder, Vec3, dot, plane_basis};
 use relume_layout::constants::{ALPHA_MAX, MIN_TRANSMITTANCE, NO_HIT};
 
 /// Mean number of Gaussians per cell of the grid.
-const PER_CELL: usize = 4;
-/// Number of footprints that count for some query between two tests of whether all light is blocked.
-const COUNTED_BETWEEN_CHECKS: u32 = 8;
+const PER_CELL: usize = 16;
+/// Number of footprints between two tests of whether all light is blocked.
+const VISITED_BETWEEN_CHECKS: usize = 16;
 /// Maximum number of cells along a side.
 const MAX_GRID_SIDE: usize = 256;
 
@@ -153,44 +153,27 @@ impl QueryLanes {
         left.max() < MIN_TRANSMITTANCE
     }
 
-    /// Exponent of `f` at each query.
+    /// Alpha of `f` at each query; 0 where it does not count ([`Footprint::alpha`]).
     #[inline(always)]
-    fn power(&self, f: &ProjectedFootprint) -> Lanes {
+    fn alpha(&self, f: &ProjectedFootprint, settings: ProbeSettings) -> Lanes {
         let [a, b, c] = f.footprint.conic;
+        let clearance = settings.clearance * f.footprint.thickness;
         Lanes::from_fn(|i| {
             let (dx, dy) = (self.place[0].0[i] - f.centre[0], self.place[1].0[i] - f.centre[1]);
-            0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
-        })
-    }
-
-    /// The queries for which `f` counts, one bit each ([`Footprint::alpha`]).
-    #[inline(always)]
-    fn counting(&self, f: &ProjectedFootprint, settings: ProbeSettings, power: &Lanes) -> u32 {
-        let clearance = settings.clearance * f.footprint.thickness;
-        let mut bits = 0;
-        for i in 0..LANES {
+            let power = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy;
             let away = f.depth - self.depth.0[i];
             // NaN fails every test.
             let counts = (f.depth > self.depth.0[i])
                 & (away <= settings.reach)
                 & (away >= clearance + self.clearance.0[i])
-                & (power.0[i] <= f.footprint.reach)
+                & (power <= f.footprint.reach)
                 & (f.index != self.gaussian[i]);
-            bits |= u32::from(counts) << i;
-        }
-        bits
+            let power = if power > 0.0 { power } else { 0.0 };
+            let alpha = f.footprint.opacity * exp_negative(-power);
+            let alpha = if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX };
+            if counts { alpha } else { 0.0 }
+        })
     }
-}
-
-/// Alpha of a footprint in the lanes of `counting`; 0 in the others.
-#[inline(always)]
-fn alpha(f: &Footprint, power: &Lanes, counting: u32) -> Lanes {
-    Lanes::from_fn(|i| {
-        let power = if power.0[i] > 0.0 { power.0[i] } else { 0.0 };
-        let alpha = f.opacity * exp_negative(-power);
-        let alpha = if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX };
-        if counting >> i & 1 == 1 { alpha } else { 0.0 }
-    })
 }
 
 /// Transmittance and dominant occluder of queries, from the footprints `members` of their cell.
@@ -204,18 +187,12 @@ fn answer(
     let (mut transmittance, mut strongest, mut hit) = (Lanes::ONE, Lanes::ZERO, [NO_HIT; LANES]);
     let (nearest, farthest) = queries.depths;
     let start = members.partition_point(|m| flats[*m as usize].depth <= nearest);
-    let mut counted = 0u32;
-    for member in &members[start..] {
+    for (visited, member) in members[start..].iter().enumerate() {
         let f = &flats[*member as usize];
         if f.depth - farthest > settings.reach {
             break;
         }
-        let power = queries.power(f);
-        let counting = queries.counting(f, settings, &power);
-        if counting == 0 {
-            continue;
-        }
-        let alpha = alpha(&f.footprint, &power, counting);
+        let alpha = queries.alpha(f, settings);
         for i in 0..LANES {
             let weight = transmittance.0[i] * alpha.0[i];
             let is_stronger = weight > strongest.0[i];
@@ -223,9 +200,9 @@ fn answer(
             hit[i] = if is_stronger { f.index } else { hit[i] };
             transmittance.0[i] *= 1.0 - alpha.0[i];
         }
-        counted += 1;
         // Every further footprint weighs less than `MIN_TRANSMITTANCE`; the first counted one weighed 1/255 or more.
-        if counted.is_multiple_of(COUNTED_BETWEEN_CHECKS) && queries.are_dark(&transmittance) {
+        if visited % VISITED_BETWEEN_CHECKS == VISITED_BETWEEN_CHECKS - 1 && queries.are_dark(&transmittance)
+        {
             break;
         }
     }
