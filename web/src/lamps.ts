@@ -24,6 +24,8 @@ export const BARE: Staging = { lamps: [], isSharp: false, floor: undefined, heig
 
 /** Greatest number of lamps on the page. */
 export const MOST_LAMPS = 4
+/** Outputs of the light of lamps on the ground. */
+const LAMP_OUTPUTS = ['lamp_light', 'lamp_shadow'] as const
 /** Colour temperatures of the API, kelvin. */
 export const KELVIN = { least: 1700, most: 20_000 } as const
 
@@ -170,7 +172,7 @@ export function staged(request: RenderRequest, staging: Staging): RenderRequest 
   }
 }
 
-/** An export of frames with the lamps that shine and the height of the ground. Other exports have neither. */
+/** An export of frames with the lamps that shine, their light on the ground and the height of the ground. Other exports have none of these. */
 export function exportStaged(request: NewExport, staging: Staging): NewExport {
   if (request.kind !== 'frames') return request
   const lamps = shining(staging)
@@ -178,6 +180,7 @@ export function exportStaged(request: NewExport, staging: Staging): NewExport {
   return {
     ...request,
     ...(lamps.length > 0 ? { lamps } : {}),
+    ...(lamps.length > 0 && isOfGround ? { outputs: [...(request.outputs ?? []), ...LAMP_OUTPUTS] } : {}),
     ...(staging.isSharp ? { tier: 'high' } : {}),
     ...(isOfGround && staging.height !== undefined ? { ground_height: staging.height } : {}),
   }

@@ -1,5 +1,5 @@
 import { useEffect, useMemo, useState } from 'preact/hooks'
-import type { Material, RenderRequest } from './api/types'
+import type { Material, MaterialEdit, RenderRequest } from './api/types'
 import { maskRequest, type Mask } from './materials'
 import { release } from './object-url'
 import { pixelsOf, rendered } from './rendered'
@@ -13,18 +13,20 @@ export interface MaskPicture extends Mask {
   url: string
 }
 
-/** The masks of the materials by the camera of one picture. Each is requested once. */
+/** The masks of the materials after the merges by the camera of one picture. Each is requested once. */
 export class Masks {
   readonly #model: string
   readonly #materials: Material[]
+  readonly #merges: MaterialEdit[]
   readonly #request: RenderRequest
   readonly #queue: SerialQueue
   readonly #found = new Map<number, Promise<MaskPicture>>()
   #isClosed = false
 
-  constructor(model: string, materials: Material[], request: RenderRequest, queue: SerialQueue) {
+  constructor(model: string, materials: Material[], merges: MaterialEdit[], request: RenderRequest, queue: SerialQueue) {
     this.#model = model
     this.#materials = materials
+    this.#merges = merges
     this.#request = request
     this.#queue = queue
   }
@@ -49,7 +51,7 @@ export class Masks {
 
   async #load(material: number): Promise<MaskPicture> {
     if (this.#isClosed) throw new DOMException('another picture is shown', 'AbortError')
-    const blob = await (await rendered(this.#model, maskRequest(this.#request, this.#materials, material))).blob()
+    const blob = await (await rendered(this.#model, maskRequest(this.#request, this.#materials, material, this.#merges))).blob()
     return { ...(await decoded(blob)), url: URL.createObjectURL(blob) }
   }
 }
@@ -60,10 +62,10 @@ async function decoded(blob: Blob): Promise<Mask> {
   return { width, height, values: Uint8Array.from({ length: width * height }, (_, i) => data[4 * i] ?? 0) }
 }
 
-/** The masks for the shown picture. Changes of materials do not change them. */
-export function useMasks(model: string, materials: Material[], request: RenderRequest | undefined, queue: SerialQueue): Masks | undefined {
+/** The masks for the shown picture. Of the changes of materials only merges change them. */
+export function useMasks(model: string, materials: Material[], merges: MaterialEdit[], request: RenderRequest | undefined, queue: SerialQueue): Masks | undefined {
   const camera = request && JSON.stringify([request.camera, request.width, request.height])
-  const masks = useMemo(() => (request ? new Masks(model, materials, request, queue) : undefined), [model, materials, camera, queue])
+  const masks = useMemo(() => (request ? new Masks(model, materials, merges, request, queue) : undefined), [model, materials, camera, queue])
   useEffect(() => () => masks?.close(), [masks])
   return masks
 }

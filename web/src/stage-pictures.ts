@@ -1,8 +1,8 @@
 import { useEffect, useMemo, useState } from 'preact/hooks'
 import { explain, type PageError } from './api/page-error'
 import type { RenderRequest } from './api/types'
-import { groundRequest, onGround, type GroundOutput } from './ground'
-import { staged, type Staging } from './lamps'
+import { groundRequest, lampLightRequest, onGround, type GroundOutput } from './ground'
+import { shining, staged, type Staging } from './lamps'
 import { release } from './object-url'
 import type { Depths } from './projection'
 import { cameraOf, encoded, pixelsOf, rendered, useServed } from './rendered'
@@ -40,16 +40,20 @@ export function useStaged(model: string, request: RenderRequest | undefined, sta
   const bounce = useServed(model, ofGround('bounce'), queue, false)
   const [made, setMade] = useState<Made>()
   const [failed, setFailed] = useState<PageError>()
-  const of = [picture.blob, shadow.blob, bounce.blob, floor]
+  const lamps = shining(staging)
+  const isLit = lamps.length > 0
+  const lampLight = useServed(model, request && floor && isLit ? lampLightRequest(request, lamps, staging.height) : undefined, queue, false)
+  const grounds = isLit ? [shadow, bounce, lampLight] : [shadow, bounce]
+  const of = [picture.blob, shadow.blob, bounce.blob, isLit ? lampLight.blob : undefined, floor]
   const camera = cameraOf(picture.request)
-  const isReady = Boolean(camera) && !shadow.isOld && !bounce.isOld && [shadow, bounce].every((one) => cameraOf(one.request) === camera)
+  const isReady = Boolean(camera) && grounds.every((one) => !one.isOld && one.blob && cameraOf(one.request) === camera)
   useEffect(() => {
     const { request, blob } = picture
-    if (!floor || !isReady || !request || !blob || !shadow.blob || !bounce.blob) return
+    if (!floor || !isReady || !request || !blob) return
     let isOver = false
     setFailed(undefined)
-    Promise.all([blob, shadow.blob, bounce.blob].map(pixelsOf))
-      .then(([rgb, share, sent]) => encoded(onGround(rgb!, share!, sent!, floor)))
+    Promise.all([blob, ...grounds.flatMap((one) => one.blob ?? [])].map(pixelsOf))
+      .then(([rgb, shadow, bounce, lampLight]) => encoded(onGround(rgb!, { shadow: shadow!, bounce: bounce!, lampLight }, floor)))
       .then((blob) => {
         if (!isOver) setMade({ url: URL.createObjectURL(blob), blob, request, of })
       })
@@ -67,7 +71,7 @@ export function useStaged(model: string, request: RenderRequest | undefined, sta
   const shown = floor && made && cameraOf(made.request) === camera ? made : picture
   const isGroundOld = Boolean(floor) && of.some((one, i) => one !== made?.of[i])
   const waiting = picture.isOld ? 'picture' : isGroundOld || (floor && !isReady) ? 'ground' : undefined
-  const parts = floor ? [picture, shadow, bounce] : [picture]
+  const parts = floor ? [picture, ...grounds] : [picture]
   const error = parts.find((one) => one.error)?.error ?? (floor ? failed : undefined)
   const retry = () => parts.filter((one) => one.error).forEach((one) => one.retry())
   return { url: shown.url, blob: shown.blob, request: shown.request, waiting: error ? undefined : waiting, error, retry }

@@ -4,7 +4,7 @@ import { source } from './source.mjs'
 
 const { BARE, coloured, exportStaged, lampText, newLamp, readLamp, readStaging, reshaped, shining, staged, writtenStaging } = await source('lamps')
 const { depthAt, projected, unprojected } = await source('projection')
-const { groundRequest, onGround } = await source('ground')
+const { groundRequest, lampLightRequest, onGround } = await source('ground')
 const { exportName, exportOf } = await source('look')
 
 // A new lamp: a white surface at its target is half as bright as a map of radiance 1.
@@ -55,6 +55,8 @@ const edits = [{ material: 0, roughness: 0 }]
 const factor = groundRequest({ ...staged({ ...picture, materials: edits }, staging) }, 'bounce', 0)
 assert.deepEqual(factor, { camera: picture.camera, width: 640, height: 480, environment: { ...light, exposure_ev: 0 }, materials: edits, outputs: ['bounce'], ground_height: 0 })
 assert.ok(!('ground_height' in groundRequest(picture, 'shadow', undefined)))
+const lampLight = lampLightRequest({ ...picture, materials: edits }, [bulb], 0)
+assert.deepEqual(lampLight, { camera: picture.camera, width: 640, height: 480, materials: edits, lamps: [{ ...bulb, intensity: 6.3 / 4 }], outputs: ['lamp_light'], ground_height: 0 })
 
 // Exports: pictures and layers with lamps, other files without.
 const look = { light: 'studio', rotation: 0, exposure: 0, background: 'transparent', output: 'rgb' }
@@ -62,7 +64,8 @@ const made = (what, given = staging) => exportStaged(exportOf(what, look, undefi
 assert.deepEqual([made('frames').lamps, made('frames').tier, made('frames').ground_height], [[bulb], 'high', undefined])
 assert.deepEqual(made('frames', BARE), exportOf('frames', look, undefined, ['studio'], 3, 64))
 const layers = made('layers')
-assert.deepEqual([layers.format, layers.package, layers.ground_height, layers.outputs], ['exr', 'zip', -0.5, ['rgb', 'depth', 'shadow', 'bounce', 'contact']])
+assert.deepEqual([layers.format, layers.package, layers.ground_height, layers.outputs], ['exr', 'zip', -0.5, ['rgb', 'depth', 'shadow', 'bounce', 'contact', 'lamp_light', 'lamp_shadow']])
+assert.deepEqual(made('layers', BARE).outputs, ['rgb', 'depth', 'shadow', 'bounce', 'contact'])
 for (const what of ['gltf', 'usdz', 'ply', 'relit', 'mesh']) assert.deepEqual(made(what), made(what, BARE), what)
 const named = (request) => exportName({ kind: request.kind, request, progress: { done: 0, total: 3 } }, () => 'studio')
 assert.equal(named(layers), 'Turntable, layers, 3 frames, 64 × 64 px, studio, with lamps')
@@ -88,7 +91,8 @@ const encode = (v) => 255 * (v <= 0.0031308 ? 12.92 * v : 1.055 * v ** (1 / 2.4)
 const pixels = (...data) => ({ width: data.length, height: 1, data: Uint8ClampedArray.from(data.flat()) })
 const rgba = [[200, 100, 50, 255], [200, 100, 50, 102], [0, 0, 0, 0], [0, 0, 0, 0]]
 const [shadow, bounce] = [[[10, 10, 10, 255], [90, 90, 90, 255], [128, 140, 150, 255], [255, 255, 255, 255]], [[99, 99, 99, 255], [10, 20, 30, 255], [30, 0, 0, 255], [0, 0, 0, 255]]]
-const result = onGround(pixels(...rgba), pixels(...shadow), pixels(...bounce), '#c08040')
+const factors = { shadow: pixels(...shadow), bounce: pixels(...bounce) }
+const result = onGround(pixels(...rgba), factors, '#c08040')
 const floor = [0xc0, 0x80, 0x40]
 rgba.forEach(([r, g, b, a], i) => [r, g, b].forEach((value, c) => {
   const level = (v) => decode(v / 255)
@@ -98,5 +102,10 @@ rgba.forEach(([r, g, b, a], i) => [r, g, b].forEach((value, c) => {
 }))
 assert.deepEqual([...result.data.slice(0, 4)], rgba[0], 'no ground before the model')
 assert.deepEqual([...result.data.slice(12)], [...floor, 255], 'the colour of the ground where it has no shadow')
-assert.throws(() => onGround(pixels(...rgba), pixels([0, 0, 0, 255]), pixels(...bounce), '#000000'), /size/)
+const level = 30
+const lamps = pixels(...rgba.map(() => [level, level, level, 255]))
+const lit = onGround(pixels(...rgba), { ...factors, lampLight: lamps }, '#c08040')
+floor.forEach((value, c) => assert.ok(Math.abs(lit.data[12 + c] - encode(decode(value / 255) * (1 + 4 * decode(level / 255)))) < 1.5, 'lamps light the ground'))
+assert.throws(() => onGround(pixels(...rgba), { ...factors, shadow: pixels([0, 0, 0, 255]) }, '#000000'), /size/)
+assert.throws(() => onGround(pixels(...rgba), { ...factors, lampLight: pixels([0, 0, 0, 255]) }, '#000000'), /size/)
 console.log('lamps and ground: texts, requests, projection and composition')

@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict'
 import { source } from './source.mjs'
 
-const { brightest, changed, editsFile, exportWith, hasMaterials, maskRequest, undone, valuesOf } = await source('materials')
+const { afterMerges, brightest, changed, editsFile, exportWith, hasMaterials, maskRequest, merged, mergesOf, undone, valuesOf } = await source('materials')
 const { SerialQueue } = await source('serial-queue')
 const { exportName } = await source('look')
 
@@ -23,6 +23,18 @@ assert.deepEqual(changed(both, second, { colour: second.colour })[1], { material
 assert.deepEqual(changed([], first, { roughness: first.roughness }), [{ material: 0, roughness: 0.6 }], 'a constant roughness is a change')
 assert.equal(editsFile(blue), '[\n  {\n    "material": 1,\n    "colour": "#224488"\n  }\n]\n')
 
+// Merges: a merged material has no other change, and no merge leads to a merged material.
+const joined = merged(merged(both, 2, 1), 1, 0)
+assert.deepEqual(joined, [{ material: 0, roughness: 0 }, { material: 1, into: 0 }, { material: 2, into: 0 }])
+assert.deepEqual(mergesOf(joined), joined.slice(1))
+assert.deepEqual(undone(joined, 0), [], 'undoing a material undoes the merges into it')
+const parts = [{ ...first, share: 0.6, roughness: 0.2 }, { ...second, share: 0.2, albedo: [0.85, 0.1, 0.03], roughness: 0.6 }, { ...material(2), share: 0.2 }]
+const [whole, rest] = afterMerges(parts, [{ material: 1, into: 0 }])
+assert.deepEqual([whole.material, rest], [0, parts[2]])
+assert.ok([whole.share - 0.8, whole.roughness - 0.3, whole.albedo[0] - 0.4].every((difference) => Math.abs(difference) < 1e-9), JSON.stringify(whole))
+assert.equal(whole.colour, '#aa5930')
+assert.deepEqual(afterMerges(parts, both), parts, 'without merges')
+
 // Models of colour alone.
 assert.ok(hasMaterials({}) && hasMaterials({ config: { warm_up: 0.3 }, imported: { materials: true } }))
 assert.ok(!hasMaterials({ config: { warm_up: 1 } }) && !hasMaterials({ imported: { materials: false } }))
@@ -42,8 +54,11 @@ const three = [first, second, material(2)]
 const pair = [{ material: 0, roughness: 1, metalness: 0 }, { material: 1, roughness: 0, metalness: 1 }, { material: 2, roughness: 0, metalness: 0 }]
 const last = [{ material: 0, roughness: 0, metalness: 0 }, { material: 1, roughness: 0, metalness: 0 }, { material: 2, roughness: 1, metalness: 0 }]
 for (const [number, output, materials] of [[0, 'roughness', pair], [1, 'metallic', pair], [2, 'roughness', last]]) {
-  assert.deepEqual(maskRequest(picture, three, number), { camera: picture.camera, width: 160, height: 120, outputs: [output], materials })
+  assert.deepEqual(maskRequest(picture, three, number, []), { camera: picture.camera, width: 160, height: 120, outputs: [output], materials })
 }
+
+const merge = { material: 1, into: 0 }
+assert.deepEqual(maskRequest(picture, [first, material(2)], 2, [merge]).materials, [merge, { material: 0, roughness: 1, metalness: 0 }, { material: 2, roughness: 0, metalness: 1 }])
 
 // The material at a pixel: the one with the largest share, none where there is no surface, and the edges of the picture.
 const mask = (...values) => ({ width: 3, height: 2, values: Uint8Array.from(values) })

@@ -141,6 +141,22 @@ async function savedChanges({ page, button }, one, two) {
   await page.getByRole('button', { name: /^↓ GLTF, .*, materials changed$/ }).waitFor({ state: 'detached' })
 }
 
+/** A merged material leaves the list, the picture stays about the same, and a click on it selects the other one. Undoing brings it back. */
+async function mergedMaterials({ panel, picture, choice, button, renewed }, one, two) {
+  await choice(two.material).check()
+  const before = await panel.getByRole('radio').count()
+  await renewed(() => panel.getByLabel(`Merge material ${two.material} into`).selectOption(String(one.material)))
+  await panel.getByText(`Material ${two.material} is now part of material ${one.material}.`).waitFor()
+  assert.equal(await panel.getByRole('radio').count(), before - 1)
+  assert.ok(await choice(one.material).isChecked())
+  await picture.scrollIntoViewIfNeeded()
+  const { width, height } = await picture.boundingBox()
+  await picture.click({ position: { x: two.at[0] * width, y: two.at[1] * height } })
+  await panel.getByText(`Material ${one.material} was selected.`).waitFor()
+  await renewed(() => button('Undo').click())
+  assert.equal(await panel.getByRole('radio').count(), before)
+}
+
 /** Undoing of one and of all; an error is a sentence, and another attempt helps. */
 async function undoneChanges({ page, panel, picture, button, renewed }, first) {
   await renewed(() => button('Undo').click())
@@ -164,6 +180,7 @@ export async function changedMaterials(page, audit) {
   const [one, two] = await pointsOf(page)
   await clickedMaterials(panel, one, two)
   const first = await panel.content()
+  await mergedMaterials(panel, one, two)
   await changedPictures(panel, first, one, two)
   await audit(page, 'materials')
   await savedChanges(panel, one, two)

@@ -5,7 +5,7 @@ import { called } from '../format'
 import { useLoaded } from '../hooks'
 import { requestOf, type Look, type View } from '../look'
 import { useMask, useMasks } from '../material-pictures'
-import { brightest, changed, editsFile, hasMaterials, undone, valuesOf, type MaterialValues } from '../materials'
+import { afterMerges, brightest, changed, editsFile, hasMaterials, merged, mergesOf, undone, valuesOf, type MaterialValues } from '../materials'
 import { useServed } from '../rendered'
 import { SerialQueue } from '../serial-queue'
 import { Failure, save, Slider } from './common'
@@ -51,7 +51,9 @@ function amount({ length }: MaterialEdit[]): string {
 }
 
 /** The list of the materials, the picture with the changes, and the fields of the chosen material. */
-function Editor({ model, look, view, lights, edits, onChange, materials }: MaterialsProps & { materials: Material[] }) {
+function Editor({ model, look, view, lights, edits, onChange, materials: all }: MaterialsProps & { materials: Material[] }) {
+  const merges = mergesOf(edits)
+  const materials = useMemo(() => afterMerges(all, merges), [all, JSON.stringify(merges)])
   const [chosen, setChosen] = useState(materials[0]?.material)
   const [hovered, setHovered] = useState<number>()
   const [focused, setFocused] = useState<number>()
@@ -61,7 +63,7 @@ function Editor({ model, look, view, lights, edits, onChange, materials }: Mater
   const queue = useMemo(() => new SerialQueue(), [])
   const request = view && lights ? { ...requestOf(look, view, lights.builtin, SIZE), ...(edits.length > 0 ? { materials: edits } : {}) } : undefined
   const served = useServed(model.id, request, queue, true)
-  const masks = useMasks(model.id, materials, served.request, queue)
+  const masks = useMasks(model.id, materials, merges, served.request, queue)
   const failed = useCallback((failure: unknown) => setError(explain(failure)), [])
   const mask = useMask(masks, hovered ?? focused, failed)
   const material = materials.find((one) => one.material === chosen)
@@ -81,6 +83,12 @@ function Editor({ model, look, view, lights, edits, onChange, materials }: Mater
       setTold('')
       if (!isAbort(failure)) failed(failure)
     })
+  }
+  const merge = (into: number) => {
+    if (chosen === undefined) return
+    onChange(merged(edits, chosen, into))
+    setChosen(into)
+    setTold(`Material ${chosen} is now part of material ${into}.`)
   }
   return (
     <>
@@ -102,6 +110,7 @@ function Editor({ model, look, view, lights, edits, onChange, materials }: Mater
         </div>
         <div class="stack">
           {material ? <Fields of={material} edits={edits} onChange={onChange} /> : null}
+          {material ? <Merge of={material} materials={materials} onMerge={merge} /> : null}
           <div class="row">
             <button type="button" disabled={edits.length === 0} onClick={() => onChange([])}>Undo all</button>
             <button type="button" disabled={edits.length === 0} onClick={() => save(new Blob([editsFile(edits)], { type: 'application/json' }), `${called(model, 'model').replace(/[^\w.-]+/g, '-')}-materials.json`)}>Save changes</button>
@@ -130,7 +139,7 @@ interface SwatchProps {
 function Swatch({ of, edits, isChosen, onChoose, onHover, onFocus }: SwatchProps) {
   const { material, share } = of
   const { colour, roughness, metalness } = valuesOf(of, edits)
-  const isChanged = edits.some((edit) => edit.material === material)
+  const isChanged = edits.some((edit) => edit.material === material || edit.into === material)
   return (
     <label class="choice" onPointerEnter={() => onHover(material)} onPointerLeave={() => onHover(undefined)}>
       <input type="radio" name="material" value={material} checked={isChosen} onChange={() => onChoose(material)} onFocus={() => onFocus(material)} onBlur={() => onFocus(undefined)} />
@@ -154,6 +163,22 @@ function EditedPicture({ url, isOld, isWaiting, mask, onPick }: { url: string | 
       {url ? <img src={url} alt="The model with the changes" class={isOld ? 'waiting' : ''} onClick={pick} /> : null}
       {mask ? <img src={mask} alt="" class="mask" /> : null}
       {isWaiting ? <p class="late"><span class="spinner" />The picture is on its way</p> : null}
+    </div>
+  )
+}
+
+/** Merges one material into another. */
+function Merge({ of: { material }, materials, onMerge }: { of: Material; materials: Material[]; onMerge: (into: number) => void }) {
+  const others = materials.filter((one) => one.material !== material)
+  if (others.length === 0) return null
+  return (
+    <div>
+      <label for="material-into">Merge material {material} into</label>
+      <select id="material-into" value="" onChange={(event) => onMerge(Number(event.currentTarget.value))}>
+        <option value="" disabled>another material</option>
+        {others.map((one) => <option value={one.material} key={one.material}>{one.material}, {(100 * one.share).toFixed(1)} %, {one.colour}</option>)}
+      </select>
+      <p class="hint">The surface keeps its colours. Later changes of that material apply to both.</p>
     </div>
   )
 }

@@ -76,7 +76,7 @@ export function TakeAlong({ model, look, view, lights, edits, staging }: TakeAlo
         {what === 'delight' ? <DelightFields format={format} side={longest} onFormat={setFormat} onSide={setLongest} /> : null}
         {edits.length > 0 ? <p class="small">{changesIn(what, edits.length)}</p> : null}
         {lamps > 0 ? <p class="small">{isTurntable ? `The pictures have the light of ${lamps === 1 ? '1 lamp' : `${lamps} lamps`}.` : 'This file has no lamps; turntables have them.'}</p> : null}
-        {what === 'layers' ? <p class="small">Each EXR has the picture, its depth, and the <code>shadow</code>, <code>bounce</code> and <code>contact</code> of the ground{staging.height === undefined ? ' at the lowest visible point of the model' : ` at the height ${staging.height}`}, under the environment without lamps.</p> : null}
+        {what === 'layers' ? <p class="small">Each EXR has the picture, its depth, and the <code>shadow</code>, <code>bounce</code> and <code>contact</code> of the ground{staging.height === undefined ? ' at the lowest visible point of the model' : ` at the height ${staging.height}`}{lamps > 0 ? <>, and the <code>lamp_light</code> and <code>lamp_shadow</code> of the lamps</> : null}.</p> : null}
         <div class="row"><button type="submit">Make it</button></div>
       </form>
       <Failure error={error ?? made.error} />
