@@ -114,7 +114,7 @@ export function GroundFields({ staging: { floor, height, lamps }, scale, onChang
             </div>
             <NumberField id="ground-height" label="Height of the ground" value={height} step={stepOf(scale) / 10} empty="lowest point" onInput={(height) => onChange({ height })} />
           </div>
-          <p class="hint">The model casts its shadow under the environment{lamps.length > 0 ? '. Lamps light the model only, not the ground' : ''}. If the model contains its own floor, choose a height slightly above it.</p>
+          <p class="hint">The model casts its shadow on the ground{lamps.length > 0 ? ', and lamps light it' : ''}. If the model contains its own floor, choose a height slightly above it.</p>
         </>
       ) : null}
     </fieldset>
