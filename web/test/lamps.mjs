@@ -100,7 +100,9 @@ async function groundedModel({ panel, picture, asked, renewed }) {
   await renewed(() => panel.getByLabel('On the ground').check())
   await picture.scrollIntoViewIfNeeded()
   const { width, height } = await picture.boundingBox()
-  const lit = await renewed(() => picture.click({ position: { x: 0.5 * width, y: 0.6 * height } }))
+  await renewed(() => picture.click({ position: { x: 0.5 * width, y: 0.6 * height } }))
+  await renewed(() => panel.getByRole('slider', { name: 'Cone' }).fill('150'))
+  const lit = await renewed(() => panel.getByLabel('Intensity as a number').fill('100'))
   const outputs = asked().flatMap(({ outputs }) => outputs)
   assert.ok(['shadow', 'bounce', 'lamp_light'].every((output) => outputs.includes(output)))
   const requested = () => asked().filter(({ outputs }) => outputs[0] === 'shadow').length
@@ -138,6 +140,7 @@ async function keptLamps({ page, panel, picture }) {
 
 /** An error is a sentence, and another attempt helps; four lamps at most; nothing stays in the address. */
 async function removedLamps({ page, panel, asked, button, renewed }) {
+  await panel.locator('.late').waitFor({ state: 'detached' })
   await renewed(() => panel.getByLabel('On the ground').uncheck())
   const busy = { status: 503, contentType: 'application/problem+json', body: JSON.stringify({ type: 'urn:relume:problem:busy', title: 'Busy', status: 503, request_id: '' }) }
   await page.route('**/render', (route) => route.fulfill(busy))
