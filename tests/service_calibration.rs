@@ -226,6 +226,17 @@ async fn until_there_are(count: usize, data: &Path) {
     panic!("{count} artifacts were expected: {:?}", files_under(&data.join("artifacts")));
 }
 
+/// Waits for a folder to go: the server removes it after its last file.
+async fn until_removed(folder: &Path) {
+    for _ in 0..1500 {
+        if !folder.exists() {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    panic!("{} is left", folder.display());
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn replaced_files_are_removed_after_a_while_or_a_restart() {
     let clock = Arc::new(ManualClock::default());
@@ -260,7 +271,7 @@ async fn replaced_files_are_removed_after_a_while_or_a_restart() {
     server.client().file(&model, "model.ply").await.unwrap();
     server.client().delete_model(&model).await.unwrap();
     until_there_are(count - 2, server.data_dir()).await;
-    assert!(!server.data_dir().join("artifacts/models").join(model.as_str()).exists());
+    until_removed(&server.data_dir().join("artifacts/models").join(model.as_str())).await;
 }
 
 /// Another model, of the same capture.

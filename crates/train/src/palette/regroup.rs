@@ -135,7 +135,7 @@ mod tests {
         let model = model();
         let merged = edited(&model, &of("1.into=0")).expect("both exist");
         assert!(apart(&albedos(&merged), &albedos(&model)) < 1e-5);
-        let [before, after] = [&model, &merged].map(|model| materials(model));
+        let [before, after] = [&model, &merged].map(materials);
         assert!((after[0].share - before[0].share - before[1].share).abs() < 1e-5, "{after:?}");
         assert!(after[1].share == 0.0 && (after[2].share - before[2].share).abs() < 1e-6, "{after:?}");
         let dark = edited(&model, &of("0*=0.5,1.into=0")).expect("both exist");
